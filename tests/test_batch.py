@@ -151,6 +151,14 @@ def test_product_in_order_and_keys(home):
     assert not before & set(read_study(study).tasks)
 
 
+def test_effects_without_their_brackets_are_told_how_to_write_them(home):
+    study = write_study(home, "effects = ['dead_zone', 'input_delay']")
+    with pytest.raises(StudyError) as refused:
+        read_study(study)
+    for words in ('[["dead_zone", "input_delay"]]', '[["dead_zone"], ["input_delay"]]'):
+        assert words in str(refused.value)
+
+
 def test_every_mistake_at_once_with_the_nearest_name(home):
     study = write_study(
         home,

@@ -9,11 +9,11 @@ import measure_house
 
 #: The most that each may be. Lower a number when the code has become better; never raise one.
 LIMITS = {
-    measure_house.DENSITY: 23.0,
+    measure_house.DENSITY: 22.9,
     "fmt: skip": 14,
     "lines over 100 columns": 97,
-    "thresholds without a recorded case": 19,
-    "functions of more than 15 decisions": 17,
+    "thresholds without a recorded case": 16,
+    "functions of more than 15 decisions": 15,
     "calls with 8 or more positional arguments": 5,
     "comprehensions with a loop or choice inside": 42,
     "named lambdas": 3,

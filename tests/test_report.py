@@ -506,9 +506,10 @@ def test_numbers_that_none_stated_are_no_step_of_the_budget():
     plain = sample_diagnosis()
     far = replace(plain.how_far, gap_before=8.84, gap_retuned=8.84)
     page = diagnosis_page(replace(plain, how_far=far))
-    assert "numbers re-tuned" not in page and "closes 0 %" not in page
+    assert "Shown: numbers re-tuned, with the missing effect" in page
+    assert "closes 0 %" not in page and ">as stated</text>" not in page
     assert "re-tuned alone" not in page and "falls from 8.8 to 1.08 times" in page
-    assert "numbers re-tuned" in diagnosis_page(plain)
+    assert "Shown: as stated, numbers re-tuned, with" in diagnosis_page(plain)
 
 
 def test_a_number_that_is_not_determined_is_not_far_from_what_is_stated():

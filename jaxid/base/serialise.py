@@ -37,13 +37,11 @@ def with_effects(content: Any) -> Any:
     """The content of a result with the effects that it adds to its model under `effects`, where a
     fit has them: those of a diagnosis stand under what it names.
     """
-    which = (
-        content.get("which")
-        if isinstance(content, dict) and content.get("kind") == "diagnosis"
-        else None
-    )
+    if not isinstance(content, dict) or content.get("kind") != "diagnosis" or "effects" in content:
+        return content
+    which = content.get("which")
     named = which.get("effects") if isinstance(which, dict) else None
-    return content if named is None or "effects" in content else {**content, "effects": named}
+    return content if named is None else {**content, "effects": named}
 
 
 def plain(value: Any) -> Any:
@@ -55,7 +53,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {k: plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
+        return list(map(plain, value))
     return value
 
 
@@ -66,7 +64,7 @@ def finite(value: Any) -> Any:
     if isinstance(value, dict):
         return {str(k): finite(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [finite(v) for v in value]
+        return list(map(finite, value))
     if isinstance(value, np.ndarray):
         return finite(value.tolist())
     if isinstance(value, bool | np.bool_):

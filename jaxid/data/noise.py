@@ -96,9 +96,8 @@ def _floor(
     if groups:
         found["repeatability"] = _between_repeats(groups, channel, column, window)
     if not found:
-        return Noise(
-            0.0, "sensor", channel.unit, f"{channel.name}: no run to estimate the noise from"
-        )
+        text = f"{channel.name}: no run to estimate the noise from"
+        return Noise(0.0, "sensor", channel.unit, text)
     source, (std, text) = max(found.items(), key=lambda item: item[1][0])
     motion = max((float(np.ptp(y)) for y in series), default=0.0)
     if std < _LEAST_SHARE * motion and source == "sensor":
@@ -218,16 +217,13 @@ def quantisation_step(series: Sequence[np.ndarray]) -> float | None:
     """The step of a quantised signal, or None: every distance of distinct values is then a multiple
     of one step.
     """
-    values = (
-        np.concatenate([np.asarray(y, dtype=float) for y in series]) if len(series) else np.zeros(0)
-    )
-    if (
-        len(values) > 4 * FIRST
-        and (first := _grid_of(values[:FIRST])) is not None
-        and first[2] < MAYBE
-    ):
-        return None
-    if (found := _grid_of(values)) is None:
+    values = np.concatenate([np.zeros(0), *(np.asarray(y, dtype=float) for y in series)])
+    if len(values) > 4 * FIRST:
+        first = _grid_of(values[:FIRST])
+        if first is not None and first[2] < MAYBE:
+            return None
+    found = _grid_of(values)
+    if found is None:
         return None
     step, enough, on_grid = found
     return step if enough and on_grid > 0.99 else None
@@ -284,11 +280,10 @@ def _scatter(repeated: np.ndarray, begins: Sequence[int] | np.ndarray, known: in
     apart = repeated - repeated.mean(0)
     squares, freedom = 0.0, 0
     for part in np.split(apart, [i for i in begins[1:] if i < apart.shape[1]], axis=1):
-        if (n := part.shape[1]) > known:
+        n = part.shape[1]
+        if n > known:
             start = np.vander(np.linspace(-1, 1, n), known)
             rest = part.T - start @ np.linalg.lstsq(start, part.T, rcond=None)[0]
-            squares, freedom = (
-                squares + float(np.sum(rest**2)),
-                freedom + (n - known) * (len(part) - 1),
-            )
+            squares += float(np.sum(rest**2))
+            freedom += (n - known) * (len(part) - 1)
     return sqrt(squares / freedom) if freedom else sqrt(float(np.mean(variances)))

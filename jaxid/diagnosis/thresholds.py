@@ -162,7 +162,7 @@ class Thresholds:
         1.0,
         "typical changes",
         "A way back that is shorter than this, in typical changes of a parameter, is not gone.",
-        "not recorded",
+        "convention: one typical change is the unit of a change",
     )
     pull_hopeless: float = _of(
         10.0,
@@ -221,7 +221,7 @@ class Thresholds:
         "share of what is missing",
         "Taking away what named effects supply has to leave less by that share of what is missing"
         " above the noise, too.",
-        "not recorded",
+        "convention: more than half",
     )
     own_regime: float = _of(
         0.9,
@@ -276,7 +276,7 @@ class Thresholds:
         "share of what is known",
         "A number whose standard deviation is more than this share of what is known of it"
         " beforehand is not determined.",
-        "not recorded",
+        "convention: more than half",
     )
     # torque, algebra
     correlated: float = _of(

@@ -5,7 +5,7 @@ groups of them.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -39,8 +39,7 @@ def search(
     tried = 0
     for share, steps, keep in stages:
         if share == 1.0:
-            for g, original in zip(current, groups, strict=True):
-                g.append(original[0])
+            _ask_again(current, groups, range(len(groups)), 1)
         found = _descended(current, steps, 1e-4, share, logs)
         tried += _linearisations(found)
         current = [_best_starts(own, keep) for own in found]
@@ -132,16 +131,14 @@ def successive_halving(
         last = steps is None
         if heat == 1:
             # A short look leaves much undetermined: the first two starts go on as they were, too.
-            for now, group in zip(current, groups, strict=True):
-                now += group[:2]
+            _ask_again(current, groups, range(len(groups)), 2)
         lost = _lost(paths) if heat > 1 else set()
         ahead = _ahead(paths, front, lost) if heat > 0 else list(range(len(groups)))
         # Until the last heat those that are sure have a chance all the same.
         barred = {*ahead, *lost} if last else set(ahead)
         ahead += [k for k in sure if k not in barred]
         if share == 1.0 and not last:
-            for k in ahead:
-                current[k].append(groups[k][0])
+            _ask_again(current, groups, ahead, 1)
             paths = _first_on_the_whole(current, ahead, mere_look=bool(lost))
         descent = (iterations, tolerance) if last else (steps, 1e-4)
         starts = [current[k] for k in ahead]
@@ -151,6 +148,17 @@ def successive_halving(
             if not last or own[0].cost <= paths[k].cost:
                 paths[k] = own[0]
     return paths
+
+
+def _ask_again(
+    current: list[list[tuple[AbstractProblem, np.ndarray]]],
+    groups: Sequence[Sequence[tuple[AbstractProblem, np.ndarray]]],
+    which: Iterable[int],
+    count: int,
+) -> None:
+    """Adds the first starts of some groups to what is left of these."""
+    for k in which:
+        current[k] += groups[k][:count]
 
 
 def _lost(paths: Sequence[Path]) -> set[int]:

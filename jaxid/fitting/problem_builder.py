@@ -50,9 +50,8 @@ class ProblemBuilder:
         self.step = self.step if own is None else own
         self._runs: dict[tuple[str, str], Runs] = {}
         self._begun: dict[tuple[str, bytes], Begun] = {}
-        self._targets: dict[
-            tuple[str, str], np.ndarray | None
-        ] = {}  # with the defects taken off: one array for all problems
+        #: With the defects taken off: one array for all problems.
+        self._targets: dict[tuple[str, str], np.ndarray | None] = {}
         self._forgotten = 0.0  # seconds of compiling for runs that were let go
         samples.refuse_endless(self.binding.dataset.experiments, self.step)
         # One shape for all splits, and for the half step that a search may go over to: one program.
@@ -61,9 +60,8 @@ class ProblemBuilder:
             {e.name: samples.step_count(e.whole, room) for e in self.binding.dataset.experiments}
         )
         self._rows = self._largest({e.name: len(e.t) for e in self.binding.dataset.experiments})
-        if (
-            self._shape[1] > samples.LONG
-        ):  # compiling once more costs less than the memory of buffers that are mostly empty
+        if self._shape[1] > samples.LONG:
+            # Compiling once more costs less than the memory of buffers that are mostly empty.
             self._shape = self._rows = 0, 0
 
     def _largest(self, steps: dict[str, int]) -> tuple[int, int]:
@@ -97,13 +95,11 @@ class ProblemBuilder:
         """Lets go of the torques of long runs, which only start values were made of, where another
         residual is fitted.
         """
-        if not kept.torques:
-            gone = [
-                key
-                for key, runs in self._runs.items()
-                if runs.setting is not None and runs.engine.long
-            ]
-            self._forgotten += sum(self._runs.pop(key).engine.compile_time_s for key in gone)
+        if kept.torques:
+            return
+        for key, runs in list(self._runs.items()):
+            if runs.setting is not None and runs.engine.long:
+                self._forgotten += self._runs.pop(key).engine.compile_time_s
 
     def compile_ahead(self, residual: Residual, theta: np.ndarray, free: Sequence[int]) -> None:
         """Begins to compile what a descent of one or two fits needs whose numbers equal theta but
@@ -159,12 +155,14 @@ class ProblemBuilder:
 
     def defect(self, residual: Residual, split: str) -> np.ndarray | None:
         """What is taken off the targets of a split [samples columns]; None where nothing is."""
-        parts = [self.defects.get((repr(residual), name)) for name in split.split("+")]
-        if len(parts) == 1 or all(part is None for part in parts):
-            return parts[0]
+        parts = {name: self.defects.get((repr(residual), name)) for name in split.split("+")}
+        if len(parts) == 1:
+            return parts[split]
+        if all(part is None for part in parts.values()):
+            return None
         runs = self.runs(residual, split)
         out, numbers = np.zeros_like(runs.targets), iter(runs.records)
-        for name, part in zip(split.split("+"), parts, strict=True):
+        for name, part in parts.items():
             own = self.runs(residual, name)
             for number in own.records:
                 at = runs.record(next(numbers)).samples
@@ -181,17 +179,12 @@ class ProblemBuilder:
         """How the free runs of a split begin with each of several parameter vectors; what was
         estimated before is kept.
         """
-        new = {
-            theta.tobytes(): theta
-            for theta in thetas
-            if (split, theta.tobytes()) not in self._begun
-        }
+        keys = [(split, theta.tobytes()) for theta in thetas]
+        new = {k: theta for k, theta in zip(keys, thetas, strict=True) if k not in self._begun}
         if new:
-            self._begun |= {
-                (split, key): b
-                for key, b in zip(new, _begun(self, split, list(new.values())), strict=True)
-            }
-        return [self._begun[split, theta.tobytes()] for theta in thetas]
+            begun = _begun(self, split, list(new.values()))
+            self._begun |= dict(zip(new, begun, strict=True))
+        return [self._begun[key] for key in keys]
 
     def simulated(self) -> int:
         """Steps that were simulated so far, those of all candidates."""
@@ -225,23 +218,26 @@ def start_values(
     guesses = [b.theta]
     told = [i for i in free if i not in b.gains]
     linear = [i for i in told if i not in b.stated] or told
-    if b.motions and linear and not b.chain.mechanism.hidden_states:
-        quick = InverseDynamics(decimate=1)
+    if not b.motions or not linear or b.chain.mechanism.hidden_states:
+        return guesses
 
-        def of(p):
-            return p if runs is None else p.part(runs, [1.0] * len(runs))
+    def by_torques(numbers: Sequence[int], theta: np.ndarray) -> np.ndarray | None:
+        """What inverse dynamics makes of some numbers; None where it finds nothing."""
+        p = bench.problem(InverseDynamics(decimate=1), "fit", numbers, b.theta)
+        if runs is not None:
+            p = p.part(runs, [1.0] * len(runs))
+        if shrinking(p, p.z(theta)):
+            return None
+        (path,) = levenberg_marquardt([(p, p.z(theta))], 15, 1e-8)
+        return p.theta(path.z) if np.isfinite(path.cost) else None
 
-        problem = of(bench.problem(quick, "fit", linear, b.theta))
-        if shrinking(problem, problem.z(b.theta)):
-            return guesses
-        path = levenberg_marquardt([(problem, problem.z(b.theta))], 15, 1e-8)[0]
-        if np.isfinite(path.cost):
-            guesses.insert(0, problem.theta(path.z))
-            both = of(bench.problem(quick, "fit", told, b.theta))
-            if b.stated & set(told) and not shrinking(both, both.z(guesses[0])):
-                path = levenberg_marquardt([(both, both.z(guesses[0]))], 15, 1e-8)[0]
-                if np.isfinite(path.cost):
-                    guesses.insert(0, both.theta(path.z))
+    found = by_torques(linear, b.theta)
+    if found is not None:
+        guesses.insert(0, found)
+        if not b.stated.isdisjoint(told):
+            found = by_torques(told, found)
+            if found is not None:
+                guesses.insert(0, found)
     return guesses
 
 
@@ -270,9 +266,8 @@ def _begun(bench: ProblemBuilder, split: str, thetas: Sequence[np.ndarray]) -> l
     def descended(asked: Sequence[int]) -> None:
         unknown = [k for k in asked if jobs[k][0].size]
         if unknown:
-            paths.update(
-                zip(unknown, levenberg_marquardt([jobs[k] for k in unknown], 8, 1e-8), strict=True)
-            )
+            ends = levenberg_marquardt([jobs[k] for k in unknown], 8, 1e-8)
+            paths.update(zip(unknown, ends, strict=True))
 
     def follows(n):
         return n in paths and 2 * paths[n].cost <= 2 * max(1, paths[n].count - jobs[n][0].size)
@@ -288,10 +283,12 @@ def _begun(bench: ProblemBuilder, split: str, thetas: Sequence[np.ndarray]) -> l
     for k, own in enumerate(groups):
         best = next(filter(follows, own), own[-1])
         p, z = jobs[best]
-        z = paths[best].z if best in paths else z
-        starts[divmod(k, len(runs.heads))] = p.starts(z)[0]
-        hessian = paths[best].hessian if best in paths else None
-        out[k // len(runs.heads)].information.append(
-            np.zeros((p.size, p.size)) if hessian is None else hessian
-        )
+        information = None
+        if best in paths:
+            z, information = paths[best].z, paths[best].hessian
+        if information is None:
+            information = np.zeros((p.size, p.size))
+        which, run = divmod(k, len(runs.heads))
+        starts[which, run] = p.starts(z)[0]
+        out[which].information.append(information)
     return out

@@ -93,9 +93,8 @@ def batched_vmap(
     def mapped(*args: Any) -> Any:
         try:
             return laid_out(function, in_axes)(*args)
-        except (
-            Exception
-        ) as error:  # whatever is wrong with the function itself, `jax.vmap` says better
+        except Exception as error:
+            # Whatever is wrong with the function itself, `jax.vmap` says better.
             out = jax.vmap(function, in_axes if isinstance(in_axes, int) else tuple(in_axes))(*args)
             _note(f"{type(error).__name__}: {error}")
             return out
@@ -234,15 +233,20 @@ class _Lanes:
         return self._costs.get(id(element), (None, 0))[1]
 
     def _equation(self, eqn: JaxprEqn, args: list[Value]) -> list[Value]:
-        name, inner = eqn.primitive.name, called(eqn)
         if not any(a.batched for a in args):
             contents = [a.content for a in args]
             return [Value(x, False) for x in bound(eqn, contents)]
-        if inner is not None:
-            marked = self.level == 0 and eqn.params.get("name") == _NAME
-            if marked and _worth_it(inner.jaxpr):
-                return self._inside(inner, args)
-            return self.run(inner, args)
+        inner = called(eqn)
+        if inner is None:
+            return self._primitive(eqn, args)
+        marked = self.level == 0 and eqn.params.get("name") == _NAME
+        if marked and _worth_it(inner.jaxpr):
+            return self._inside(inner, args)
+        return self.run(inner, args)
+
+    def _primitive(self, eqn: JaxprEqn, args: list[Value]) -> list[Value]:
+        """An operation that is no program of its own, on values of which some have lanes."""
+        name = eqn.primitive.name
         if name == "dynamic_update_slice" and not any(a.batched for a in args[2:]):
             return [self._updated(args)]
         if self.level == 0:

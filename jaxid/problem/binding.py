@@ -98,12 +98,9 @@ class Binding:
         """Fitted numbers of a drive law that make the torque itself: no equation of torques can
         tell them.
         """
-        known = self.chain.mechanism.known()
-        return {
-            i
-            for i in self.free
-            if (name := self.layout.names[i]) in known and not name.startswith("delay@")
-        }
+        gains = [name for name in self.chain.mechanism.known() if not name.startswith("delay@")]
+        names = self.layout.names
+        return {i for i in self.free if names[i] in gains}
 
     def reference(self, effect: type[Effect] | Effect, place: int) -> TypicalMagnitudes:
         """Typical magnitudes where an effect acts."""
@@ -119,11 +116,9 @@ class Binding:
     def motions_of(self, experiments: Iterable[Experiment]) -> list[Motion] | None:
         """Motions of these runs, or None where the model does not measure its joints."""
         names = names_of(experiments)
-        return (
-            [self.motions[n] for n in names]
-            if self.motions and set(names) <= set(self.motions)
-            else None
-        )
+        if not self.motions or not self.motions.keys() >= set(names):
+            return None
+        return [self.motions[n] for n in names]
 
     def by_windows(self, window: Window | None) -> Binding:
         """With the noise of runs that begin anew in each window: what repeats differ by has not

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from jaxid.base import wording
@@ -40,12 +41,15 @@ def gap_picture(diagnosis: Diagnosis):
 
 
 def _drawn(diagnosis: Diagnosis) -> list[Step]:
-    """The steps; where re-tuned numbers leave what they found, as where none are stated, they are
-    none.
+    """The steps. Re-tuned numbers that leave what they found are none; where no numbers are stated
+    they are the first.
     """
     steps = [step for step in diagnosis.budget if step.step in STEPS]
-    same = wording.times(steps[0].gap) == wording.times(steps[1].gap)
-    return [steps[0], *steps[2:]] if same else steps
+    stated, retuned, *others = steps
+    if wording.times(stated.gap) != wording.times(retuned.gap):
+        return steps
+    first = stated if diagnosis.final.stated else replace(retuned, closes=None)
+    return [first, *others]
 
 
 def draw_gap(axes: Axes, diagnosis: Diagnosis) -> Axes:

@@ -38,11 +38,10 @@ def check_study(path: str | Path) -> Study:
     for runs in study.runs:
         problems += _Check(runs, places).problems(data)
     if problems:
-
-        def own(p):
-            return (p.file != study.path.name, p.row or 0 if p.file == study.path.name else 0)
-
-        raise StudyError(sorted(dict.fromkeys(problems), key=own))
+        each = dict.fromkeys(problems)
+        own = [p for p in each if p.file == study.path.name]
+        others = [p for p in each if p.file != study.path.name]
+        raise StudyError([*sorted(own, key=lambda p: p.row or 0), *others])
     return study
 
 
@@ -115,11 +114,8 @@ class _Check:
         try:
             return question(*arguments)
         except (UsageError, DatasetError) as error:
-            self.say(
-                field,
-                f"{f'dataset {of!r}: ' if of else ''}{error}",
-                "Correct the name or leave it out",
-            )
+            message = f"dataset {of!r}: {error}" if of else str(error)
+            self.say(field, message, "Correct the name or leave it out")
             return None
 
     def say(self, field: str, message: str, remedy: str) -> None:

@@ -44,10 +44,12 @@ class _StrictTable(BaseModel):
 
 
 def _distinct(values: list[Any] | None) -> list[Any] | None:
-    if values is not None and not values:
+    if values is None:
+        return None
+    if not values:
         raise ValueError("is an empty list")
-    for k, value in enumerate(values or []):
-        if value in (values or [])[:k]:
+    for k, value in enumerate(values):
+        if value in values[:k]:
             raise ValueError(f"names {value!r} twice")
     return values
 
@@ -80,22 +82,32 @@ class RunsEntry(_StrictTable):
 
     _lists = field_validator("datasets", "models", "effects", "fitters")(_distinct)
 
+    @field_validator("effects", mode="before")
+    @classmethod
+    def _sets(cls, value: Any) -> Any:
+        """Names alone are no sets of them: all together or each in its turn?"""
+        if isinstance(value, list) and value and all(isinstance(name, str) for name in value):
+            together, apart = json.dumps([value]), json.dumps([[name] for name in value])
+            others = f" adds them together, {apart} each alone" if len(value) > 1 else ""
+            raise ValueError(f"is a list of sets: {together}{others}")
+        return value
+
     @field_validator("timeout_s", mode="before")
     @classmethod
     def _number(cls, value: Any) -> Any:
-        return (
-            float(value)
-            if isinstance(value, int) and not isinstance(value, bool) and abs(value) < 1e15
-            else value
-        )
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        return float(value) if whole and abs(value) < 1e15 else value
 
     @field_validator("seeds")
     @classmethod
     def _seeds(cls, value: int | list[int]) -> int | list[int]:
         if isinstance(value, list):
+            seeds, least = value, 0
             _distinct(value)
-        for seed in value if isinstance(value, list) else [value]:
-            if not (0 if isinstance(value, list) else 1) <= seed <= SEEDS:
+        else:
+            seeds, least = [value], 1
+        for seed in seeds:
+            if not least <= seed <= SEEDS:
                 raise ValueError(
                     f"is {seed}: a number of seeds is 1 or more, a list holds seeds from 0 to"
                     f" {SEEDS}"

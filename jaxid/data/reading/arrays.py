@@ -203,33 +203,27 @@ def _each_run(
 def _run_entries(name: str, count: int | None, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
     """One entry a run; a setting given as a list has one value a run."""
     total = 1 if count is None else count
-    given = settings.get("names")
-    names = [name] if count is None else [f"run_{i + 1}" for i in range(total)]
-    if given is not None:
-        names = [given] if isinstance(given, str) else list(given)
-    entries: list[dict[str, Any]] = []
-    for i in range(total):
-        entry: dict[str, Any] = {}
-        for key in RUN_SETTINGS:
-            value = settings.get(key)
-            if isinstance(value, list | tuple):
-                if len(value) != total:
-                    message = f"{key} has {len(value)} values for {total} run{'s' * (total > 1)}"
-                    raise DatasetError(
-                        [DatasetProblem(name, None, None, message, "Give one value, or one a run")]
-                    )
-                value = value[i]
+
+    def refuse(message: str, remedy: str) -> DatasetError:
+        return DatasetError([DatasetProblem(name, None, None, message, remedy)])
+
+    entries: list[dict[str, Any]] = [{} for _ in range(total)]
+    for key in RUN_SETTINGS:
+        given = settings.get(key)
+        values = list(given) if isinstance(given, list | tuple) else [given] * total
+        if len(values) != total:
+            message = f"{key} has {len(values)} values for {total} run{'s' * (total > 1)}"
+            raise refuse(message, "Give one value, or one a run")
+        for entry, value in zip(entries, values, strict=True):
             if value is not None:
                 entry[key] = _builtin(value)
-        entries.append(entry)
+    names = settings.get("names")
+    if isinstance(names, str):
+        names = [names]
+    elif names is None:
+        names = [name] if count is None else [f"run_{i + 1}" for i in range(total)]
     if len(names) != total:
-        raise DatasetError(
-            [
-                DatasetProblem(
-                    name, None, None, f"{len(names)} names for {total} runs", "Give one name a run"
-                )
-            ]
-        )
+        raise refuse(f"{len(names)} names for {total} runs", "Give one name a run")
     return [
         {"file": str(n), "name": str(n), **entry} for n, entry in zip(names, entries, strict=True)
     ]
