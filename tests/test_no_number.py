@@ -171,7 +171,7 @@ def chooser(held: np.ndarray) -> Chooser:
         u.spread, u.least = np.full(1, np.inf), np.full(1, -np.inf)
 
     def gram_of(blocks):
-        return Gram(blocks, 400.0)
+        return Gram(blocks, np.zeros(len(blocks), int), 400.0, False)
 
     wide = np.full(3, np.inf)
     return Chooser(

@@ -83,7 +83,7 @@ def test_a_robot_that_goals_drive_lacks_nothing_but_friction_that_its_file_under
         assert row.stated == 0.05 and abs(row.fitted - 0.1) < 0.003 and (row.deviation or 0) > 3
         for right in ("armature", "damping", "kp", "kd"):
             row = stated[right, joint]
-            assert abs(row.fitted - row.stated) < 0.01 * row.stated
+            assert abs(row.fitted - row.stated) < 0.02 * row.stated
     # The readings have no noise, and every fifth goal was logged of one that moved on in between.
     assert found.how_far.gap_retuned < 0.1 * found.how_far.gap_before
     assert "along straight lines" in " ".join(found.notes)

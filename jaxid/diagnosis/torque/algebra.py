@@ -86,12 +86,15 @@ def memory_of(series: Sequence[np.ndarray]) -> float:
 
 @dataclass(frozen=True)
 class Gram:
-    """Sums of products of weighted columns and, last, the target: of blocks [blocks p + 1 p + 1];
-    rows that are independent.
+    """Sums of products of weighted columns and, last, the target: of blocks [blocks p + 1 p + 1],
+    their runs; rows that are independent; whether repeats tell the noise, so that sums of squares
+    are chi-square.
     """
 
     blocks: np.ndarray
+    owner: np.ndarray
     rows: float
+    repeated: bool
     total: np.ndarray = field(init=False)
 
     def __post_init__(self):
@@ -122,13 +125,14 @@ def gram(
     """
     made = [weights(x, r.moves, u) for x, r, u in zip(rows, runs, unsure, strict=True)]
     length = max(1, sum(map(len, made)) // blocks)
-    parts = []
-    for x in made:
+    parts, owner = [], []
+    for k, x in enumerate(made):
         for piece in np.array_split(x, max(1, round(len(x) / length))):
             flat = piece.reshape(-1, piece.shape[2])
             parts.append(shrunk(flat.T @ flat, weights.spread))
+            owner.append(k)
     count = sum(weights.count(r.moves, u) for r, u in zip(runs, unsure, strict=True))
-    return Gram(np.array(parts), count)
+    return Gram(np.array(parts), np.array(owner), count, weights.spread.size > 0)
 
 
 @dataclass(frozen=True)
@@ -218,3 +222,31 @@ def _spread(H: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     out[np.ix_(free, free)] = inverse
     determined[free] = np.isfinite(size) & (np.sum(vectors[:, open_] ** 2, 1) < 1e-3)
     return out, determined
+
+
+def better(before: np.ndarray, after: np.ndarray, g: Gram) -> tuple[float, float]:
+    """By how many standard errors the sums of squares of the blocks of g fall, in all and in the
+    run where that is least.
+
+    Where repeats tell the noise that is the root of the chi-square. Else blocks tell, by their
+    logarithms: an effect that acts in few blocks is seen in these, and no single block decides.
+    What falls so but not in sum does not count.
+    """
+    gain = np.log(np.maximum(before, 1e-300) / np.maximum(after, 1e-300))
+
+    def errors(inside: np.ndarray) -> float:
+        less = float((before - after)[inside].sum())
+        if g.repeated:
+            return float(np.sign(less) * np.sqrt(abs(less)))
+        found = _errors(gain[inside])
+        return found if less > 0 else min(found, 0.0)
+
+    return errors(g.owner >= 0), min(
+        (errors(g.owner == k) for k in np.unique(g.owner)), default=0.0
+    )
+
+
+def _errors(gain: np.ndarray) -> float:
+    if len(gain) < 2:
+        return float(np.sign(gain.sum()))
+    return float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), 1e-300))
