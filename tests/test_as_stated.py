@@ -67,10 +67,7 @@ CHANGES = {
 
 @pytest.mark.parametrize(
     "kind",
-    [
-        pytest.param(k, marks=[] if k in ("encoder", "nothing") else pytest.mark.slow)
-        for k in CHANGES
-    ],
+    [pytest.param(k, marks=[] if k == "nothing" else pytest.mark.slow) for k in CHANGES],
 )
 def test_the_one_thing_that_is_different_is_named_with_all_else_as_it_stands(kind, tmp_path):
     beside, more, lacking = CHANGES[kind]

@@ -29,6 +29,7 @@ def recorded() -> tuple[object, jaxid.Dataset]:
     return model, moving(model, np.concatenate([goal, 0.7 * np.roll(goal, 130)], axis=1))
 
 
+@pytest.mark.slow
 def test_limbs_fitted_one_by_one_are_fitted_as_the_whole(recorded, monkeypatch):
     model, data = recorded
     binding = bind(model, data)

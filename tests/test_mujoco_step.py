@@ -138,7 +138,9 @@ def test_friction_creeps_and_holds_as_in_mujoco():
     assert np.abs(own - theirs).max() < 1e-6 * crept
 
 
-@pytest.mark.parametrize("integrator", ["implicitfast", "RK4"])
+@pytest.mark.parametrize(
+    "integrator", ["implicitfast", pytest.param("RK4", marks=pytest.mark.slow)]
+)
 def test_a_run_is_differentiated_as_it_is(integrator):
     step = 0.005
     robot = Robot.from_mjcf("arm.xml", text=arm(2, integrator, step, STOPS)).stepped("mujoco")
