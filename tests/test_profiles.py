@@ -36,7 +36,7 @@ def test_profile_of_a_well_determined_fit_is_the_covariance(fitted):
         assert np.all(np.diff(p.values) > 0) and p.rise.min() == 0
     assert (
         profiles["inertia"].unit == "kg m^2"
-        and profiles["inertia"].plot().get_xlabel() == "inertia (kg m^2)"
+        and profiles["inertia"].plot().get_xlabel() == "inertia (kg\u00a0m^2)"
     )
 
 
