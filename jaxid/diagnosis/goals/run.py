@@ -250,33 +250,30 @@ class _Road:
         offer: Offer,
         decide: Decide,
     ) -> SearchOutcome:
-        decider = Decider(bench, self.names, self.progress)
+        first = Decider(bench, self.names, self.progress)
         theta = as_vector(bench.binding, self.names, self.bare)
-        nominal = decider.refit((), theta)
-
-        def fitted(path: Path = nominal.path) -> Fit:
-            minimum = Minimum(
-                path.z, path.loss, path.converged, path.stopped, decider.evaluations, []
-            )
-            spent = time.perf_counter() - self.began
-            return assemble(
-                bench=decider.bench,
-                problem=path.problem,
-                result=minimum,
-                residual=OutputError(),
-                fitter="lm",
-                seed=self.seed,
-                compile_time=decider.bench.compile_time(),
-                wall_time=spent,
-            )
-
-        offer(fitted, SearchResult(nominal, nominal))
-        decider, search = decide(decider, nominal)
+        nominal = first.refit((), theta)
+        offer(lambda: self._fitted(first, nominal.path), SearchResult(nominal, nominal))
+        decider, search = decide(first, nominal)
         plain = decider.settled(search.nominal)
         search.settled = plain, decider.settled(search.chosen) if search.chosen.effects else plain
         return SearchOutcome(
             bench=decider.bench,
-            nominal_fit=fitted(plain.path),
+            nominal_fit=self._fitted(decider, plain.path),
             search=search,
             compile_time=decider.bench.compile_time(),
+        )
+
+    def _fitted(self, decider: Decider, path: Path) -> Fit:
+        """A descent on the bench of a decider as a fit."""
+        minimum = Minimum(path.z, path.loss, path.converged, path.stopped, decider.evaluations, [])
+        return assemble(
+            bench=decider.bench,
+            problem=path.problem,
+            result=minimum,
+            residual=OutputError(),
+            fitter="lm",
+            seed=self.seed,
+            compile_time=decider.bench.compile_time(),
+            wall_time=time.perf_counter() - self.began,
         )
