@@ -163,7 +163,7 @@ def test_models_move_alike(mechanism, effects):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
 
 
-#: Minutes to compile, or another arm of six or seven joints, or the tree of bodies that these are.
+#: Minutes to compile, or another arm of six or seven joints, or a tree of bodies.
 LONG = FlexibleArm, SerialArm, Panda, UR10e, Robot
 
 

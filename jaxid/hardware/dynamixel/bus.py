@@ -19,7 +19,7 @@ PROBES = 25  # questions that measure how long an answer takes
 TRIES = 5
 
 
-HEADER = 9  # bytes before the content of an answer: the start, identity, length, instruction, error
+HEADER = 9  # bytes before the content of an answer
 
 
 LATE_S = 0.02  # an answer that is not there by then comes no more, but for a broken line
@@ -62,8 +62,8 @@ class Bus:
                 return super().readPort(length)
 
         class PacketHandler(dynamixel_sdk.Protocol2PacketHandler):
-            """Leaves the checksum out of an answer, and keeps how much it holds: the SDK alone takes
-            the checksum for the content of an answer that has none, and cuts one that is too long.
+            """Leaves the checksum out of an answer, and keeps its size. The SDK alone takes the
+            checksum for the content of an answer that has none, and cuts one that is too long.
             """
 
             size = 0  # bytes of content of the last answer
