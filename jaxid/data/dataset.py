@@ -67,6 +67,7 @@ class ModelSpec:
     the name of its joint. `file` is the path of a model of the user's own, with its class where it
     was named (`/data/osc/duffing.py:Duffing`). `trust` says how far stated numbers may be off: see
     `jaxid.problem.trust`. `simulator` says whose steps a robot of a file takes: "own", or "mujoco".
+    `contacts`: whether shapes of its file that touch count as contacts of the machine.
     """
 
     name: str | None = None
@@ -80,6 +81,7 @@ class ModelSpec:
     file: str | None = field(default=None, compare=False)  # where it lies makes no other model
     trust: str | None = None
     simulator: str | None = None
+    contacts: bool | None = None
 
 
 @dataclass(frozen=True)

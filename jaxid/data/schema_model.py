@@ -104,6 +104,7 @@ class ModelEntry(Strict):
     joints: dict[str, str] = {}
     trust: Literal["exact", "measured", "loose"] | None = None
     simulator: Literal["own", "mujoco"] | None = None
+    contacts: bool | None = None
 
     @field_validator("joints")
     @classmethod

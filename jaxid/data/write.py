@@ -141,6 +141,7 @@ def _model(model: ModelSpec) -> dict[str, Any]:
     entry["joints"] = dict(model.joints) or None
     entry["trust"] = model.trust
     entry["simulator"] = model.simulator
+    entry["contacts"] = model.contacts
     return _stated(entry)
 
 

@@ -10,6 +10,7 @@ slide joints cannot express is refused by name.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,9 +35,10 @@ def read_mjcf(path: str | Path, text: str | None = None) -> Tree:
     `UsageError` naming the element.
     """
     path = Path(path)
-    spec, tendons = compilable(path, expanded(path, text))
+    whole = expanded(path, text)
+    spec, tendons = compilable(path, whole)
     model = compiled(path, spec)
-    return _Reader(path, model, tendons).tree()
+    return replace(_Reader(path, model, tendons).tree(), text=whole)
 
 
 class _Reader:

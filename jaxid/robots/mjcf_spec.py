@@ -5,7 +5,7 @@ drawn, touched or sensed.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -81,8 +81,7 @@ def compilable(path: Path, text: str) -> tuple[Any, list[Tendon]]:
     for geom in kept:
         geom.contype = geom.conaffinity = 0
         geom.material = ""
-    for name in DROPPED:
-        _drop(spec, name, kept if name == "geoms" else ())
+    drop_all(spec, {"geoms": kept})
     without_tendons(mujoco, spec)
     spec.compiler.balanceinertia = False
     spec.compiler.fusestatic = False
@@ -130,7 +129,7 @@ def _start(path: Path) -> str:
 def from_meshes(spec: Any) -> list[str]:
     """Names of the moving bodies whose mass comes from meshes or from other shapes in files."""
     shapes = [(body.name or UNNAMED, list(heavy(body, spec))) for body in _silent(spec)]
-    return [name for name, own in shapes if not all(map(_plain, own))]
+    return [name for name, own in shapes if not all(map(plain, own))]
 
 
 def first_of(names: Sequence[str], most: int = 8) -> str:
@@ -183,11 +182,12 @@ def _moves(body: Any) -> bool:
     return any(len(b.joints) for b in _up(body))
 
 
-def _drop(spec: Any, kind: str, kept: Sequence[Any]) -> None:
-    """Takes out all elements of a kind but those that are `kept`."""
-    for one in list(getattr(spec, kind)):
-        if one not in kept:
-            spec.delete(one)
+def drop_all(spec: Any, kept: Mapping[str, Sequence[Any]]) -> None:
+    """Takes out what is drawn, touched or sensed, but those of a kind that are `kept`."""
+    for kind in DROPPED:
+        for one in list(getattr(spec, kind)):
+            if one not in kept.get(kind, ()):
+                spec.delete(one)
 
 
 def _loose(body: Any) -> bool:
@@ -214,7 +214,7 @@ def heavy(body: Any, spec: Any) -> Iterable[Any]:
             yield g
 
 
-def _plain(geom: Any) -> bool:
+def plain(geom: Any) -> bool:
     """Whether a geom is a shape of its own, whose inertia needs no file."""
     kinds = library().mjtGeom
     shapes = (

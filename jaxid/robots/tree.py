@@ -117,7 +117,8 @@ class Tree:
     of the simulator that the file is of, where they add to its numbers; `simulator` how that one
     takes them, None where that is not known. `ties` must have all of
     their joints held before anything is simulated (see `robots.match`). `lifted` [n 10]: bodies
-    whose weight the file cancels (`gravcomp`), as `inertia`; None where it cancels none.
+    whose weight the file cancels (`gravcomp`), as `inertia`; None where it cancels none. `text` is
+    that of an MJCF file, includes in place.
     """
 
     file: str
@@ -155,6 +156,7 @@ class Tree:
     simulator: FileStep | None = None
     ties: tuple[Tie, ...] = ()
     lifted: np.ndarray | None = None
+    text: str = field(default="", repr=False)
 
     @property
     def n(self) -> int:

@@ -23,6 +23,7 @@ def model_spec(entry: ModelEntry) -> ModelSpec:
         base={} if entry.base is None else entry.base.model_dump(exclude_unset=True),
         trust=entry.trust,
         simulator=entry.simulator,
+        contacts=entry.contacts,
     )
 
 

@@ -1,0 +1,154 @@
+"""Where the shapes of a robot's file touch along a recording. Contacts are not simulated, so a run
+counts up to the first one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxid.base.errors import UsageError
+from jaxid.base.wording import listed
+from jaxid.data.dataset import Dataset, Experiment
+from jaxid.data.records import MINIMUM_SAMPLES
+from jaxid.robots.mjcf_spec import compiled, drop_all, library, parsed, plain
+from jaxid.robots.mjcf_ties import without_tendons
+from jaxid.robots.recorded_joints import held_at
+from jaxid.robots.tree import Tree
+
+
+#: Samples of a run that are looked at, the first ones; a longer run is looked at every second,
+#: third ... sample.
+MOST = 20_000
+
+
+@dataclass(frozen=True)
+class Touch:
+    """The first sample of a run in which something touches, and the names of what does."""
+
+    sample: int
+    between: tuple[str, str]
+
+    @property
+    def said(self) -> str:
+        return f"{self.between[0]} touches {self.between[1]}"
+
+
+def up_to_contact(dataset: Dataset, tree: Tree) -> Dataset:
+    """The dataset with each run up to where shapes of the robot's file touch, and a note; as it is
+    where nothing does, the file has no shapes, or the dataset states `contacts = false`.
+
+    Shapes are planes, spheres, capsules, ellipsoids, cylinders and boxes; meshes are not looked at.
+    Raises `UsageError` where no run for fitting is left.
+    """
+    ignored = dataset.model is not None and dataset.model.contacts is False
+    if ignored or tree.floats or not tree.text or _of_speed_alone(dataset, tree):
+        return dataset
+    shapes = _shapes(tree.text, tree.file)
+    if shapes is None:
+        return dataset
+    kept: list[Experiment] = []
+    said: list[str] = []
+    for run in dataset.experiments:
+        touch = _first(shapes, _positions(run, dataset, tree))
+        if touch is None:
+            kept.append(run)
+            continue
+        seconds = run.t[touch.sample] - run.t[0]
+        said.append(f"{run.name} after {seconds:.3g} s ({touch.said})")
+        if touch.sample >= MINIMUM_SAMPLES:
+            kept.append(run.piece(0, touch.sample, name=run.name, split=run.split))
+    if not said:
+        return dataset
+    if not any(run.split == "fit" for run in kept):
+        raise UsageError(
+            f"in every run for fitting shapes of {tree.file} touch from the start: {said[0]}."
+            " Contacts are not simulated: record the robot free of them, or state [model]"
+            " contacts = false where the machine touches nothing"
+        )
+    note = (
+        f"shapes of {tree.file} touch, and contacts are not simulated: what comes after is left"
+        f" out, of {listed(said)} (where the machine touches nothing, state [model] contacts ="
+        " false)"
+    )
+    return replace(dataset, experiments=tuple(kept), notes=(*dataset.notes, note))
+
+
+def _of_speed_alone(dataset: Dataset, tree: Tree) -> bool:
+    """Whether a joint moves whose position is not recorded."""
+    outputs = dataset.output_names
+    return any(f"{j}_qd" in outputs and j not in outputs for j in tree.leading)
+
+
+@lru_cache(maxsize=8)
+def _shapes(text: str, file: str) -> Any:
+    """The compiled model of a file's bodies, joints and plain shapes; None where nothing in it can
+    touch. Raises `UsageError` for shapes that MuJoCo refuses.
+    """
+    mujoco = library()
+    spec = parsed(Path(file), text)
+    if spec.option.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT):
+        return None
+    floats = any(j.type == mujoco.mjtJoint.mjJNT_FREE for j in spec.joints)
+    shapes = [g for g in spec.geoms if plain(g) or g.type == mujoco.mjtGeom.mjGEOM_PLANE]
+    if floats:  # where it stands in its surroundings is not recorded
+        shapes = [g for g in shapes if g.parent.name != "world"]
+    if not shapes:
+        return None
+    names = {g.name for g in shapes}
+    pairs = [p for p in spec.pairs if {p.geomname1, p.geomname2} <= names]
+    for geom in shapes:
+        geom.material = ""
+    for body in spec.bodies[1:]:
+        if not body.explicitinertial:  # of no matter to where something is
+            body.mass, body.inertia, body.explicitinertial = 1.0, np.ones(3), True
+    drop_all(spec, {"geoms": shapes, "pairs": pairs, "excludes": list(spec.excludes)})
+    without_tendons(mujoco, spec)
+    return compiled(Path(file), spec)
+
+
+def _positions(run: Experiment, dataset: Dataset, tree: Tree) -> dict[str, np.ndarray]:
+    """Joint of the file -> its position along a run [samples], or the one where it is held [1]."""
+    measured = {name: run.y[:, k] for k, name in enumerate(dataset.output_names)}
+    found = {joint: np.full(1, place) for joint, place in tree.held.items()}
+    for joint in tree.leading:
+        if joint in measured:
+            found[joint] = measured[joint]
+        else:
+            found[joint] = np.full(1, held_at(tree, dataset, joint))
+    for tie in tree.couplings:
+        if tie.follower not in found and tie.leader in found:
+            found[tie.follower] = np.asarray(tie.as_curve.at(found[tie.leader])[0])
+    return found
+
+
+def _first(model: Any, positions: Mapping[str, np.ndarray]) -> Touch | None:
+    """The first sample in which shapes touch."""
+    mujoco = library()
+    data = mujoco.MjData(model)
+    samples = max(len(values) for values in positions.values())
+    joints = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, j): j for j in range(model.njnt)}
+    addresses = {joint: model.jnt_qposadr[joints[joint]] for joint in positions if joint in joints}
+    for k in range(0, samples, 1 + samples // MOST):
+        for joint, address in addresses.items():
+            values = positions[joint]
+            data.qpos[address] = values[min(k, len(values) - 1)]
+        mujoco.mj_fwdPosition(model, data)
+        touching = np.flatnonzero(data.contact.exclude[: data.ncon] == 0)
+        if touching.size:
+            geoms = data.contact.geom[touching[0]]
+            return Touch(k, (_name(model, geoms[1]), _name(model, geoms[0])))
+    return None
+
+
+def _name(model: Any, geom: int) -> str:
+    """That of a shape, or of its body."""
+    mujoco = library()
+    own = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, int(geom))
+    body = int(model.geom_bodyid[geom])
+    return own or mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body) or "the world"

@@ -1,0 +1,123 @@
+"""Contacts that a robot's file knows and no simulation here has: runs count up to the first one."""
+
+import importlib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import jaxid
+from jaxid.data.dataset import ModelSpec
+from jaxid.models import Robot
+from jaxid.robots.match import prepared
+
+
+mujoco: Any = importlib.import_module("mujoco")  # its names are made when it loads
+
+STEP = 0.002
+#: A pendulum of 0.3 m with a ball at its end, whose pivot is `height` over a floor.
+FILE = """<mujoco><compiler angle="radian"/><option timestep="0.002"/>
+  <worldbody><geom name="floor" type="plane" size="1 1 .1" pos="0 0 {floor}"/>
+  <body name="base"><geom name="mount" type="box" size=".02 .02 .5"/>
+  <body name="arm"><joint name="lift" axis="0 1 0" damping="0.1"/>
+    <inertial pos=".15 0 0" mass="0.4" diaginertia=".002 .002 .002"/>
+    <geom name="ball" type="sphere" size=".02" pos=".3 0 0"/></body></body></worldbody>
+  {more}<actuator><position joint="lift" kp="8" kv="0.5"/></actuator>
+</mujoco>"""
+
+
+def goals() -> np.ndarray:
+    t = np.arange(2000) * STEP
+    return 0.6 * np.sin(2 * np.pi * 0.5 * t) * t / t[-1]
+
+
+def recorded(text: str, u: np.ndarray) -> tuple[np.ndarray, int | None]:
+    """Positions in MuJoCo, and the first sample with a contact."""
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    q, first = np.empty(len(u)), None
+    for k, goal in enumerate(u):
+        q[k] = data.qpos[0]
+        mujoco.mj_fwdPosition(model, data)
+        if first is None and data.ncon:
+            first = k
+        data.ctrl[:] = goal
+        mujoco.mj_step(model, data)
+    return q, first
+
+
+def prepared_by(text: str, runs: int = 1, **model: Any) -> tuple[jaxid.Dataset, int | None]:
+    u = goals()
+    q, first = recorded(text, u)
+    data = jaxid.Dataset.from_arrays(
+        [np.arange(len(u)) * STEP] * runs,
+        {"lift_cmd": [u] * runs},
+        {"lift": [q] * runs},
+        units={"lift": "rad", "lift_cmd": "rad"},
+        check_model=False,
+    )
+    data = replace(data, model=ModelSpec(**model))
+    robot = Robot.from_mjcf("arm.xml", text=text)
+    return prepared(robot, data)[1], first
+
+
+def file(floor: float = -0.1, more: str = "") -> str:
+    return FILE.format(floor=floor, more=more)
+
+
+def test_a_run_counts_up_to_what_the_simulator_of_its_file_touches():
+    data, first = prepared_by(file())
+    assert first is not None and 100 < first < 1900
+    (run,) = data.experiments
+    assert len(run) == first
+    assert f"run_1 after {first * STEP:.3g} s (ball touches floor)" in data.notes[-1]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        file(floor=-1.0),
+        file(more='<contact><exclude body1="world" body2="arm"/></contact>'),
+        file().replace("<option", '<option><flag contact="disable"/></option><option'),
+        file().replace('type="plane"', 'type="plane" contype="0" conaffinity="0"'),
+    ],
+    ids=["below", "excluded", "disabled", "drawn"],
+)
+def test_nothing_is_cut_where_the_file_has_no_contact(text):
+    data, first = prepared_by(text)
+    assert first is None
+    assert [len(run) for run in data.experiments] == [2000]
+    assert not any("touch" in note for note in data.notes)
+
+
+def test_who_knows_that_nothing_touches_says_so(tmp_path):
+    data, _ = prepared_by(file(), contacts=False)
+    assert [len(run) for run in data.experiments] == [2000]
+    jaxid.save_dataset(data, tmp_path / "kept")
+    again = jaxid.load_dataset(tmp_path / "kept", check_model=False)
+    assert again.model is not None and again.model.contacts is False
+
+
+def test_runs_that_touch_from_the_start_are_refused():
+    with pytest.raises(jaxid.UsageError, match=r"ball touches floor.*contacts = false"):
+        prepared_by(file(floor=0.01))
+
+
+def test_a_dataset_on_disk_is_cut_alike(tmp_path):
+    text = file()
+    u = goals()
+    q, first = recorded(text, u)
+    (tmp_path / "arm.xml").write_text(text)
+    table = np.column_stack([np.arange(len(u)) * STEP, u, q])
+    np.savetxt(
+        Path(tmp_path) / "run.csv", table, delimiter=",", header="t,lift_cmd,lift", comments=""
+    )
+    (tmp_path / "dataset.toml").write_text(
+        'name = "touch"\n[model]\nrobot = "arm.xml"\n[channels.lift_cmd]\nrole = "input"\n'
+        'unit = "rad"\n[channels.lift]\nrole = "output"\nunit = "rad"\n[[experiments]]\n'
+        'file = "run.csv"\n'
+    )
+    data = prepared(None, jaxid.load_dataset(tmp_path, check_model=False))[1]
+    assert first is not None and [len(run) for run in data.experiments] == [first]
