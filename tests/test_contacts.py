@@ -1,4 +1,4 @@
-"""Contacts that a robot's file knows and no simulation here has: runs count up to the first one."""
+"""Contacts that a robot's file knows and no simulation here has: only what lies between counts."""
 
 import importlib
 from dataclasses import replace
@@ -11,6 +11,7 @@ import pytest
 import jaxid
 from jaxid.data.dataset import ModelSpec
 from jaxid.models import Robot
+from jaxid.robots.contacts import GUARD
 from jaxid.robots.match import prepared
 
 
@@ -33,24 +34,23 @@ def goals() -> np.ndarray:
     return 0.6 * np.sin(2 * np.pi * 0.5 * t) * t / t[-1]
 
 
-def recorded(text: str, u: np.ndarray) -> tuple[np.ndarray, int | None]:
-    """Positions in MuJoCo, and the first sample with a contact."""
+def recorded(text: str, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions in MuJoCo, and in which samples there is a contact."""
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
-    q, first = np.empty(len(u)), None
+    q, touching = np.empty(len(u)), np.zeros(len(u), bool)
     for k, goal in enumerate(u):
         q[k] = data.qpos[0]
         mujoco.mj_fwdPosition(model, data)
-        if first is None and data.ncon:
-            first = k
+        touching[k] = data.ncon > 0
         data.ctrl[:] = goal
         mujoco.mj_step(model, data)
-    return q, first
+    return q, touching
 
 
-def prepared_by(text: str, runs: int = 1, **model: Any) -> tuple[jaxid.Dataset, int | None]:
+def prepared_by(text: str, runs: int = 1, **model: Any) -> tuple[jaxid.Dataset, np.ndarray]:
     u = goals()
-    q, first = recorded(text, u)
+    q, touching = recorded(text, u)
     data = jaxid.Dataset.from_arrays(
         [np.arange(len(u)) * STEP] * runs,
         {"lift_cmd": [u] * runs},
@@ -60,19 +60,34 @@ def prepared_by(text: str, runs: int = 1, **model: Any) -> tuple[jaxid.Dataset, 
     )
     data = replace(data, model=ModelSpec(**model))
     robot = Robot.from_mjcf("arm.xml", text=text)
-    return prepared(robot, data)[1], first
+    return prepared(robot, data)[1], touching
 
 
 def file(floor: float = -0.1, more: str = "") -> str:
     return FILE.format(floor=floor, more=more)
 
 
-def test_a_run_counts_up_to_what_the_simulator_of_its_file_touches():
-    data, first = prepared_by(file())
-    assert first is not None and 100 < first < 1900
-    (run,) = data.experiments
-    assert len(run) == first
-    assert f"run_1 after {first * STEP:.3g} s (ball touches floor)" in data.notes[-1]
+def test_what_the_simulator_of_its_file_touches_does_not_count():
+    data, touching = prepared_by(file())
+    first = int(np.argmax(touching))
+    assert 100 < first < 1900
+    assert len(data.experiments) > 1
+    assert data.experiments[0].t[-1] == pytest.approx((first - GUARD - 1) * STEP)
+    for part in data.experiments:
+        known = np.round(part.whole.t / STEP).astype(int)
+        assert not touching[known].any()
+    counted = sum(len(part) for part in data.experiments)
+    assert counted > 0.8 * np.sum(~touching)
+    assert f"run_1 (ball touches floor after {first * STEP:.3g} s" in data.notes[-1]
+
+
+def test_parts_between_contacts_are_fitted_with_what_is_known_before_them():
+    """A delay acts at the beginning of a part, too: its damping and its delay come back."""
+    data, _ = prepared_by(file())
+    robot = Robot.from_mjcf("arm.xml", text=file())
+    found = jaxid.fit(robot, data, effects=["input_delay@lift_cmd"])
+    assert found.parameters["damping@lift"].value == pytest.approx(0.1, rel=0.02)
+    assert abs(found.effects[0].parameters["delay"].value) < STEP / 2
 
 
 @pytest.mark.parametrize(
@@ -86,8 +101,8 @@ def test_a_run_counts_up_to_what_the_simulator_of_its_file_touches():
     ids=["below", "excluded", "disabled", "drawn"],
 )
 def test_nothing_is_cut_where_the_file_has_no_contact(text):
-    data, first = prepared_by(text)
-    assert first is None
+    data, touching = prepared_by(text)
+    assert not touching.any()
     assert [len(run) for run in data.experiments] == [2000]
     assert not any("touch" in note for note in data.notes)
 
@@ -102,13 +117,13 @@ def test_who_knows_that_nothing_touches_says_so(tmp_path):
 
 def test_runs_that_touch_from_the_start_are_refused():
     with pytest.raises(jaxid.UsageError, match=r"ball touches floor.*contacts = false"):
-        prepared_by(file(floor=0.01))
+        prepared_by(file(floor=0.5))
 
 
 def test_a_dataset_on_disk_is_cut_alike(tmp_path):
     text = file()
     u = goals()
-    q, first = recorded(text, u)
+    q, touching = recorded(text, u)
     (tmp_path / "arm.xml").write_text(text)
     table = np.column_stack([np.arange(len(u)) * STEP, u, q])
     np.savetxt(
@@ -120,4 +135,6 @@ def test_a_dataset_on_disk_is_cut_alike(tmp_path):
         'file = "run.csv"\n'
     )
     data = prepared(None, jaxid.load_dataset(tmp_path, check_model=False))[1]
-    assert first is not None and [len(run) for run in data.experiments] == [first]
+    assert len(data.experiments) > 1
+    for part in data.experiments:
+        assert not touching[np.round(part.t / STEP).astype(int)].any()

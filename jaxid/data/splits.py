@@ -77,7 +77,7 @@ def _forgetful(run: Experiment) -> Experiment:
     past = run.past
     if past is None:
         return run
-    longest, most = PAST[run.split]
+    longest, most = PAST.get(run.split, PAST["validation"])
     n = min(int(np.sum(past.t >= run.t[0] - longest)), most)
     if n == len(past):
         return run

@@ -1,5 +1,5 @@
-"""Where the shapes of a robot's file touch along a recording. Contacts are not simulated, so a run
-counts up to the first one.
+"""Where the shapes of a robot's file touch along a recording. Contacts are not simulated, so only
+what lies between them counts.
 """
 
 from __future__ import annotations
@@ -11,40 +11,39 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool
 
 from jaxid.base.errors import UsageError
 from jaxid.base.wording import listed
 from jaxid.data.dataset import Dataset, Experiment
-from jaxid.data.records import MINIMUM_SAMPLES
+from jaxid.data.splits import GUARD_SAMPLES
 from jaxid.robots.mjcf_spec import compiled, drop_all, library, parsed, plain
 from jaxid.robots.mjcf_ties import without_tendons
 from jaxid.robots.recorded_joints import held_at
 from jaxid.robots.tree import Tree
 
 
-#: Samples of a run that are looked at, the first ones; a longer run is looked at every second,
-#: third ... sample.
+#: Samples beside a contact that do not count: noise of the sensors moves where it begins and ends.
+#: A part also knows its first ones, from which a late command acts.
+GUARD = GUARD_SAMPLES
+#: Samples of a run that are looked at; of a longer one every second, third ... of them.
 MOST = 20_000
 
 
 @dataclass(frozen=True)
-class Touch:
-    """The first sample of a run in which something touches, and the names of what does."""
+class Touching:
+    """In which samples of a run [samples] something touches, and what does first."""
 
-    sample: int
-    between: tuple[str, str]
-
-    @property
-    def said(self) -> str:
-        return f"{self.between[0]} touches {self.between[1]}"
+    samples: Bool[np.ndarray, " samples"]
+    between: str
 
 
-def up_to_contact(dataset: Dataset, tree: Tree) -> Dataset:
-    """The dataset with each run up to where shapes of the robot's file touch, and a note; as it is
-    where nothing does, the file has no shapes, or the dataset states `contacts = false`.
+def free_of_contact(dataset: Dataset, tree: Tree) -> Dataset:
+    """The dataset with those parts of its runs in which no shapes of the robot's file touch, and a
+    note; as it is where none do, the file has no shapes, or the dataset states `contacts = false`.
 
     Shapes are planes, spheres, capsules, ellipsoids, cylinders and boxes; meshes are not looked at.
-    Raises `UsageError` where no run for fitting is left.
+    Raises `UsageError` where nothing for fitting is left.
     """
     ignored = dataset.model is not None and dataset.model.contacts is False
     if ignored or tree.floats or not tree.text or _of_speed_alone(dataset, tree):
@@ -55,28 +54,44 @@ def up_to_contact(dataset: Dataset, tree: Tree) -> Dataset:
     kept: list[Experiment] = []
     said: list[str] = []
     for run in dataset.experiments:
-        touch = _first(shapes, _positions(run, dataset, tree))
-        if touch is None:
+        touching = _touching(shapes, _positions(run, dataset, tree), len(run))
+        if touching is None:
             kept.append(run)
             continue
-        seconds = run.t[touch.sample] - run.t[0]
-        said.append(f"{run.name} after {seconds:.3g} s ({touch.said})")
-        if touch.sample >= MINIMUM_SAMPLES:
-            kept.append(run.piece(0, touch.sample, name=run.name, split=run.split))
+        kept += _parts(run, touching.samples)
+        after = run.t[np.argmax(touching.samples)] - run.t[0]
+        share = 100 * np.mean(touching.samples)
+        said.append(f"{run.name} ({touching.between} after {after:.3g} s, {share:.2g} % of it)")
     if not said:
         return dataset
     if not any(run.split == "fit" for run in kept):
         raise UsageError(
-            f"in every run for fitting shapes of {tree.file} touch from the start: {said[0]}."
+            f"nothing for fitting is left where shapes of {tree.file} do not touch: {said[0]}."
             " Contacts are not simulated: record the robot free of them, or state [model]"
             " contacts = false where the machine touches nothing"
         )
     note = (
-        f"shapes of {tree.file} touch, and contacts are not simulated: what comes after is left"
-        f" out, of {listed(said)} (where the machine touches nothing, state [model] contacts ="
-        " false)"
+        f"shapes of {tree.file} touch, and contacts are not simulated: left out of {listed(said)}"
+        " (where the machine touches nothing, state [model] contacts = false)"
     )
     return replace(dataset, experiments=tuple(kept), notes=(*dataset.notes, note))
+
+
+def _parts(run: Experiment, touching: Bool[np.ndarray, " samples"]) -> list[Experiment]:
+    """The parts of a run between its contacts."""
+    edges = np.flatnonzero(np.diff(touching, prepend=True, append=True))
+    parts: list[tuple[int, int]] = []
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        start = 0 if begin == 0 else int(begin) + 2 * GUARD
+        stop = len(run) if end == len(run) else int(end) - GUARD
+        if stop - start >= 2 * GUARD:
+            parts.append((start, stop))
+    found: list[Experiment] = []
+    for number, (start, stop) in enumerate(parts, 1):
+        name = run.name if len(parts) == 1 else f"{run.name} part {number}"
+        past = 0 if start == 0 else GUARD
+        found.append(run.piece(start, stop, name=name, split=run.split, past=past))
+    return found
 
 
 def _of_speed_alone(dataset: Dataset, tree: Tree) -> bool:
@@ -127,23 +142,25 @@ def _positions(run: Experiment, dataset: Dataset, tree: Tree) -> dict[str, np.nd
     return found
 
 
-def _first(model: Any, positions: Mapping[str, np.ndarray]) -> Touch | None:
-    """The first sample in which shapes touch."""
+def _touching(model: Any, positions: Mapping[str, np.ndarray], samples: int) -> Touching | None:
+    """Where shapes touch along a run of so many samples; None where they never do."""
     mujoco = library()
     data = mujoco.MjData(model)
-    samples = max(len(values) for values in positions.values())
     joints = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, j): j for j in range(model.njnt)}
     addresses = {joint: model.jnt_qposadr[joints[joint]] for joint in positions if joint in joints}
-    for k in range(0, samples, 1 + samples // MOST):
+    found, between = np.zeros(samples, bool), ""
+    step = 1 + samples // MOST
+    for k in range(0, samples, step):
         for joint, address in addresses.items():
             values = positions[joint]
             data.qpos[address] = values[min(k, len(values) - 1)]
         mujoco.mj_fwdPosition(model, data)
-        touching = np.flatnonzero(data.contact.exclude[: data.ncon] == 0)
-        if touching.size:
-            geoms = data.contact.geom[touching[0]]
-            return Touch(k, (_name(model, geoms[1]), _name(model, geoms[0])))
-    return None
+        acting = np.flatnonzero(data.contact.exclude[: data.ncon] == 0)
+        found[k : k + step] = acting.size > 0
+        if acting.size and not between:
+            first, second = data.contact.geom[acting[0]]
+            between = f"{_name(model, second)} touches {_name(model, first)}"
+    return Touching(found, between) if between else None
 
 
 def _name(model: Any, geom: int) -> str:

@@ -22,7 +22,7 @@ from jaxid.dynamics.joint_readings import with_speeds
 from jaxid.dynamics.parameter import with_fields
 from jaxid.robots import stops
 from jaxid.robots.beside import as_inputs, left_out, rides, with_base, with_rates
-from jaxid.robots.contacts import up_to_contact
+from jaxid.robots.contacts import free_of_contact
 from jaxid.robots.drive_inputs import driven_by, without_drive
 from jaxid.robots.drives import DriveLaw, file_law, stated_law
 from jaxid.robots.file_step import beyond_its_step
@@ -293,7 +293,7 @@ def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
     dataset = named(dataset, tree, spec.joints if spec is not None else None)
     dataset = driving(drives_led(outputs_led(dataset, tree), tree), tree)
     tree, _ = led(tree, dataset)
-    dataset = up_to_contact(with_rates(dataset, tree), tree)
+    dataset = free_of_contact(with_rates(dataset, tree), tree)
     return model, with_base(dataset, tree)
 
 
