@@ -1,10 +1,11 @@
 """What the name of a recorded column says: the quantity, whether it is a goal, its unit. English,
-German, and ROS's words.
+German, and ROS's words; of other languages what a goal and a quantity are called.
 """
 
 from __future__ import annotations
 
 import re
+import unicodedata
 from dataclasses import dataclass
 
 from jaxid.data.units import conversion, UnitError
@@ -14,7 +15,7 @@ _QUANTITY = {
     "position": "pos position positions angle angles q theta encoder enc lage winkel weg stellung",
     "velocity": "vel velocity velocities speed qd dq omega qvel geschwindigkeit drehzahl",
     "acceleration": "acc accel acceleration accelerations qdd ddq beschleunigung",
-    "torque": "torque torques tau moment drehmoment effort efforts trq",
+    "torque": "torque torques tau moment drehmoment couple effort efforts trq",
     "force": "force forces kraft",
     "current": "current currents strom iq amps",
     "voltage": "voltage volt spannung pwm duty",
@@ -27,6 +28,21 @@ _GOAL = set(
     "cmd command commands commanded des desired ref reference target targets goal goals setpoint"
     " set sp soll sollwert ziel action vorgabe demand demanded leader".split()
 )
+#: How words begin, without accents, that say goal or quantity in French, Spanish, Italian,
+#: Portuguese, Dutch, Russian, Chinese, Japanese and Korean. The last three have no spaces: there
+#: the sign stands anywhere in a word.
+_GOAL_STEMS = (
+    "consign commande desead desejad desiderat comandad comandat objetiv obiettiv riferiment"
+    " gewenst задан уставк 目标 目標 指令 期望 给定 设定 목표 지령"
+).split()
+_STEMS = {
+    "position": "posic posiz posit hoek угол положен 位置 角度 위치 각도",
+    "velocity": "vitess velocid velocit snelheid скорост 速度 转速 속도",
+    "torque": "coppi koppel крутящ момент 力矩 扭矩 转矩 トルク 토크",
+    "force": "fuerz forza forca kracht сил",
+    "current": "couran corrient corrente stroom ток 电流 電流 전류",
+    "voltage": "voltag spanning напряжен 电压 電圧 전압",
+}
 _ACTUAL = set("act actual meas measured ist istwert state feedback fb present obs".split())
 _ERROR = set(
     "err error errors deviation following fehler schleppfehler abweichung regelabweichung".split()
@@ -102,18 +118,44 @@ def meaning_of(name: str, unit: str) -> Meaning:
 def words_of(name: str) -> list[str]:
     """`lrActPos1` as lr, act, pos."""
     split = re.sub(r"(?<=[a-zäöü])(?=[A-ZÄÖÜ])", " ", name)
-    return [w.lower() for w in re.findall(r"[A-Za-zÄÖÜäöüß]+", split)]
+    return [w.lower() for w in re.findall(r"[^\W\d_]+", split)]
 
 
 def _parts(word: str) -> list[str]:
     """A German compound as the words in it that are known: `sollposition`, `motorstrom`."""
     if word in _WORDS or word in _GOAL | _ACTUAL | _ERROR:
         return [word]
+    foreign = _foreign(word)
+    if foreign:
+        return foreign
     found = [start for start in ("soll", "ziel", "ist") if word.startswith(start)][:1]
     ends = [known for known in _WORDS if len(known) >= 3 and word.endswith(known)]
     if not ends and found != ["soll"]:
         return []
     return [*found, *sorted(ends, key=len)[-1:]]
+
+
+def _foreign(word: str) -> list[str]:
+    """What a word of another language says, in words that are known here."""
+    plain = _without_accents(word)
+    found = ["goal"] if _begins(plain, _GOAL_STEMS) else []
+    found += [quantity for quantity, stems in _STEMS.items() if _begins(plain, stems.split())]
+    return found
+
+
+def _without_accents(word: str) -> str:
+    letters = unicodedata.normalize("NFKD", word)
+    return unicodedata.normalize("NFC", "".join(c for c in letters if not _accent(c)))
+
+
+def _accent(letter: str) -> bool:
+    """Whether it is an accent that stands over a Latin letter."""
+    return "\u0300" <= letter <= "\u036f"
+
+
+def _begins(word: str, stems: list[str]) -> bool:
+    """Whether a word begins with a stem; a sign of several meanings stands anywhere in it."""
+    return any(stem in word if stem > "\u2e80" else word.startswith(stem) for stem in stems)
 
 
 def _unit_behind(name: str) -> str:
