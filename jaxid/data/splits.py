@@ -5,11 +5,15 @@ validation runs.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.data.dataset import Dataset, Experiment
 from jaxid.data.records import MINIMUM_SAMPLES
+
+
+if TYPE_CHECKING:
+    from jaxid.data.dataset import Dataset, Experiment
 
 
 TAIL = 0.3

@@ -11,13 +11,13 @@ import numpy as np
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.model_file import sha256_of
 from jaxid.fitting import result as results
-from jaxid.fitting.covariance import covariance, CovarianceEstimate
+from jaxid.fitting.covariance import covariance, CovarianceEstimate, without_priors
 from jaxid.fitting.ending import ending
 from jaxid.fitting.fitter import Minimum
 from jaxid.fitting.own_simulation import by_run, own_simulation, simulated_scores
 from jaxid.fitting.per_joint import per_joint
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
-from jaxid.fitting.result import Covariance, EffectEstimate, Estimate, Fit, Score, Trace
+from jaxid.fitting.result import EffectEstimate, Estimate, Fit, Score, Trace
 from jaxid.fitting.reweighting import weighed_by
 from jaxid.fitting.same_speed import said_as_one
 from jaxid.fitting.scores import (
@@ -29,6 +29,7 @@ from jaxid.fitting.scores import (
     torque_scores,
 )
 from jaxid.fitting.stated import stated_or_of_the_file, StatedNumber
+from jaxid.fitting.step_shift import with_steps
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
 from jaxid.problem.problem import FitProblem
@@ -144,6 +145,7 @@ def assemble(
             notes=tuple(notes),
         )
     cov = known or getattr(result, "covariance", None) or covariance(problem, result.z)
+    cov = _with_steps(bench, problem, residual, result.z, cov)
     found = estimates(binding, problem, result.z, cov)
     own, added = named_estimates(binding, found)
     told = numbers_covariance(binding, problem, result.z, cov)
@@ -155,7 +157,7 @@ def assemble(
         compared.add(split, bench, problem, result.z, residual)
     table = compared.table
     notes += compared.notes
-    stated = _stated(bench, theta, found, told)
+    stated = _stated(bench, problem, result.z, cov)
     joints: tuple[dict, ...] = ()
     if is_robot(binding.chain.mechanism):
         notes += yardstick.sentences([s.to_dict() for s in stated])
@@ -210,15 +212,32 @@ def _of_numbers(
     return [*notes, *binding.said, *(f"noise of {n.text}" for n in binding.noise.values())]
 
 
-def _stated(
+def _with_steps(
     bench: ProblemBuilder,
-    theta: np.ndarray,
-    found: Mapping[int, Estimate],
-    covariance: Covariance | None,
+    problem: FitProblem,
+    residual: Residual,
+    z: np.ndarray,
+    cov: CovarianceEstimate,
+) -> CovarianceEstimate:
+    """The covariance with what steps of the file's simulator do, where it would refute a number."""
+    if bench.binding.chain.mechanism.own_step is None:
+        return cov
+    if not any(s.refuted for s in _stated(bench, problem, z, cov)):
+        return cov
+    return with_steps(bench, problem, residual, z, cov)
+
+
+def _stated(
+    bench: ProblemBuilder, problem: FitProblem, z: np.ndarray, cov: CovarianceEstimate
 ) -> tuple[StatedNumber, ...]:
-    """The numbers that are stated elsewhere, judged by what was found."""
-    rows = stated_or_of_the_file(bench.binding, found, covariance)
-    return said_as_one(bench, theta, rows) if is_robot(bench.binding.chain.mechanism) else rows
+    """The numbers that are stated elsewhere, judged by what the data alone tell."""
+    judging = without_priors(cov)
+    found = estimates(bench.binding, problem, z, judging)
+    told = numbers_covariance(bench.binding, problem, z, judging)
+    rows = stated_or_of_the_file(bench.binding, found, told)
+    if not is_robot(bench.binding.chain.mechanism):
+        return rows
+    return said_as_one(bench, problem.theta(z), rows)
 
 
 @dataclass

@@ -16,7 +16,7 @@ mean square from there, and frees the others by as much.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -51,6 +51,8 @@ class CovarianceEstimate:
     widened: float = 1.0  # by Student's t
     gradient: np.ndarray | None = None  # J'r and J'J
     hessian: np.ndarray | None = None
+    precision: np.ndarray | None = None  # J'J with what is known beforehand
+    by_data: np.ndarray | None = None  # the matrix without priors
 
 
 def covariance(problem: FitProblem, z: np.ndarray) -> CovarianceEstimate:
@@ -107,20 +109,24 @@ def covariance(problem: FitProblem, z: np.ndarray) -> CovarianceEstimate:
     dof = max(1, count - int(inside.sum()))
     s2 = max(S_white / dof, 1e-300)
     noise, widened = (), 1.0
-    known = prior + np.diag(_known_by_bounds(problem, z))
-    inverse = _inverse(H_data + known)
-    least = inverse @ (max(s2, 1.0) * H_data + known) @ inverse
-    if white:
-        spread = least
-    else:
+    if not white:
         noise = tuple(autoregressions(parts, _held(scaled, scale, inside)))
         widened = student(parts, noise, int(inside.sum()))
+
+    def spread_of(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Covariance of z with so much known beforehand, and the inverse curvature."""
+        inverse = _inverse(H_data + known)
+        least = inverse @ (max(s2, 1.0) * H_data + known) @ inverse
+        if white:
+            return positive(least), inverse
         spread = inverse @ (score_covariance(parts, noise) * widened**2 + known) @ inverse
         slow = inverse @ (long_run(scores, n, memory) * count / dof + known) @ inverse
         # Never narrower than white residuals of that size.
         floor = np.maximum(np.diag(slow), np.diag(least))
-        spread = no_narrower(spread, floor)
-    spread = positive(spread)
+        return positive(no_narrower(spread, floor)), inverse
+
+    bounds = np.diag(_known_by_bounds(problem, z))
+    spread, inverse = spread_of(prior + bounds)
     alone = np.where(
         inside, np.diag(_beside_bounds(spread, at_bound & ~blind & ~inside)), np.diag(spread)
     )
@@ -129,6 +135,10 @@ def covariance(problem: FitProblem, z: np.ndarray) -> CovarianceEstimate:
     )  # determined in name only: the interval is wider than the bounds
     at = np.flatnonzero(at_bound & ~inside & ~blind)
     matrix = one_sided(problem, z, spread, np.diag(inverse), slope, at)
+    by_data = matrix
+    if prior.any():
+        own, inverse = spread_of(bounds)
+        by_data = one_sided(problem, z, own, np.diag(inverse), slope, at)
     std = np.sqrt(np.diag(matrix))
     std[~identifiable] = np.nan
     statement = (
@@ -148,7 +158,30 @@ def covariance(problem: FitProblem, z: np.ndarray) -> CovarianceEstimate:
         widened=widened,
         gradient=slope,
         hessian=H,
+        precision=H_data + prior + bounds,
+        by_data=by_data,
     )
+
+
+def widened_by(known: CovarianceEstimate, more: np.ndarray) -> CovarianceEstimate:
+    """The same with so much more covariance of z [n n]."""
+    assert known.by_data is not None
+    wider = _of(known, known.matrix + more)
+    return replace(wider, by_data=known.by_data + more)
+
+
+def without_priors(known: CovarianceEstimate) -> CovarianceEstimate:
+    """The same by the data alone: whether they refute a number that somebody states is not to be
+    judged by that statement, nor by another one that looks the same to the data.
+    """
+    return known if known.by_data is None else _of(known, known.by_data)
+
+
+def _of(known: CovarianceEstimate, matrix: np.ndarray) -> CovarianceEstimate:
+    """The same with another covariance of z [n n]."""
+    std = np.sqrt(np.diag(matrix))
+    std[~known.identifiable] = np.nan
+    return replace(known, matrix=matrix, std=std)
 
 
 def one_sided(

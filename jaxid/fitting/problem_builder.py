@@ -36,7 +36,8 @@ class ProblemBuilder:
 
     `defects` (residual, split) -> what finer steps would add to the simulation, at the samples
     [samples columns]: taken off the targets of its problems, so that a search on coarse steps ends
-    where one on fine steps would. `together`: one program of all effects runs every lane.
+    where one on fine steps would. `together`: one program of all effects runs every lane. `finer`: the model's own simulator
+    takes so many steps in place of one.
     """
 
     binding: Binding
@@ -44,10 +45,13 @@ class ProblemBuilder:
     differences: int = 0
     defects: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)
     together: bool = False
+    finer: int = 1
 
     def __post_init__(self):
         own = self.binding.chain.mechanism.own_step
-        self.step = self.step if own is None else own
+        if own is not None:
+            own /= self.finer
+            self.step = own
         self._runs: dict[tuple[str, str], Runs] = {}
         self._begun: dict[tuple[str, bytes], Begun] = {}
         #: With the defects taken off: one array for all problems.
@@ -90,6 +94,10 @@ class ProblemBuilder:
             if self.together:
                 self._runs[key].engine.keep_together()
         return self._runs[key]
+
+    def split_of(self, runs: Runs) -> str | None:
+        """The split that runs were made of; None for those of another builder."""
+        return next((key[1] for key, made in self._runs.items() if made is runs), None)
 
     def forget_long(self, kept: Residual) -> None:
         """Lets go of the torques of long runs, which only start values were made of, where another
