@@ -32,7 +32,7 @@ def one_run(data: jaxid.Dataset, path: Path) -> jaxid.Dataset:
     )
 
 
-@pytest.mark.parametrize("warmer", [1.0, 1.15])
+@pytest.mark.parametrize("warmer", [1.0, pytest.param(1.15, marks=pytest.mark.slow)])
 def test_a_reference_of_the_same_arm_shows_no_load(warmer):
     """Friction may be another by then, bodies are not."""
     arm = ARMS["three"]

@@ -258,6 +258,7 @@ def test_fits_equal_those_of_the_function(home, capsys, monkeypatch):
 # ---- kills
 
 
+@pytest.mark.slow
 def test_ten_kills(home):
     """Kill -9 at random moments: every acknowledged result stays, and the table is that of a run
     without kills.

@@ -186,6 +186,7 @@ def test_what_a_simulation_does_not_bear_out_is_a_question(kind):
     assert not finding.decisive and finding.gap_before == finding.gap_if_mended == 20.0
 
 
+@pytest.mark.slow
 def test_what_is_found_beside_laws_is_simulated_beside_them():
     """A row's delay is a hundredth of what a spring leaves that the model lacks: without the spring
     no simulation shows it.

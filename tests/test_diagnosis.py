@@ -415,7 +415,13 @@ def commanded_arm(drag: tuple[float, float]) -> jaxid.Dataset:
     )
 
 
-@pytest.mark.parametrize(("drag", "places"), [((0.0, 0.15), {"q2"}), ((0.2, 0.15), {"q1", "q2"})])
+@pytest.mark.parametrize(
+    ("drag", "places"),
+    [
+        pytest.param((0.0, 0.15), {"q2"}, marks=pytest.mark.slow),
+        ((0.2, 0.15), {"q1", "q2"}),
+    ],
+)
 def test_an_arm_is_diagnosed_by_its_torque(drag, places):
     """Nothing is simulated; an effect that is found at one joint is looked for at the others."""
     data = commanded_arm(drag)
@@ -637,6 +643,7 @@ def test_an_interval_holds_a_further_run():
         assert 0.9 <= np.mean(hits) <= 0.98
 
 
+@pytest.mark.slow
 def test_runs_that_begin_in_motion_are_not_taken_for_a_gap():
     """A joint that turns freely keeps the speed that its first samples tell badly; a part that was
     cut off knows it better.
@@ -794,6 +801,7 @@ def test_a_recorded_servo_lacks_load_dependent_friction():
     assert row["MAE of the logs with gain 200, held out, rad"] < 0.032
 
 
+@pytest.mark.slow
 def test_a_delay_at_either_end_of_a_plant_is_the_same_to_any_recording():
     names = ["input_delay", "sensor_delay", "spring_torque"]
     bench = ProblemBuilder(
@@ -1005,6 +1013,7 @@ def test_a_number_that_went_as_far_as_the_data_let_it_is_put_back():
     assert p.theta(found.z)[constant] == pytest.approx(0.2, rel=0.05)
 
 
+@pytest.mark.slow
 def test_held_out_runs_tell_what_the_fit_runs_leave_open():
     """A limit that the fit run does not reach: the validation run does, and says where it is."""
     t = np.arange(800) / 200
@@ -1046,6 +1055,7 @@ def test_held_out_runs_tell_what_the_fit_runs_leave_open():
     )
 
 
+@pytest.mark.slow
 def test_a_limit_far_below_the_commands_is_found():
     """A servo that hardly follows its goals is re-tuned to one that stands still, which milder
     limits move no more.
@@ -1115,6 +1125,7 @@ def test_what_leads_a_screen_and_what_may_equal_it_is_refitted_however_many_ther
     assert kept(ranked, ranked[4:5]) == ["quadratic_drag", "spring_torque", "power_law_friction"]
 
 
+@pytest.mark.slow
 def test_an_effect_is_left_out_with_the_others_where_they_end_without_it():
     """A scale of the torque and the model's own numbers are known only together: without it they
     have to go along.
@@ -1158,6 +1169,7 @@ def test_an_effect_is_left_out_with_the_others_where_they_end_without_it():
     )
 
 
+@pytest.mark.slow
 def test_a_search_that_has_simulated_enough_ends_and_says_so(monkeypatch):
     """All single effects are asked in any case; what would come beside them is not, where nothing
     may be simulated any more.

@@ -81,6 +81,7 @@ def test_the_condition_number_is_that_of_the_written_out_regressor(arm):
     assert np.allclose(list(arm.content["expected_std"].values()), std, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_optimisation_beats_chance(arm):
     """The best of many random motions of the same family, all scaled to the same limits, is worse
     by far.
@@ -160,6 +161,7 @@ def test_a_friction_law_can_be_asked_for():
     assert all(sum(row[:3]) > 0.05 for row in slow.values())
 
 
+@pytest.mark.slow
 def test_limits_of_a_file_count(tmp_path):
     path = tmp_path / "limits.toml"
     path.write_text("speed = 0.5\nlower = -0.4\nupper = [0.4, 0.2]\n")

@@ -108,6 +108,7 @@ def test_the_distance_is_what_a_recording_shows(diagnosis, made, recordings):
     assert 0.5 * c["distance"] < apart < 2 * c["distance"], (apart, c["distance"])
 
 
+@pytest.mark.slow
 def test_stated_limits_count(diagnosis):
     made = diagnosis.next_run(duration_s=2.0, limits=Limits(speed=(0.3,)), amplitude=[0.2])
     e = made.dataset.experiments[0]

@@ -67,6 +67,24 @@ def stored(folder: Path) -> dict[str, np.ndarray]:
 # ---- the bus itself, through the unmodified SDK
 
 
+def test_a_late_answer_is_never_taken_for_that_of_another_register(servo):
+    """A register of one byte is asked after samples and after others, whose answers come late."""
+    bus = Bus(servo.address, 1_000_000, [1], "sync")
+    bus.expect(0.001)
+    firmware = bus.get(1, x.FIRMWARE)
+    servo.order("late 0.015 0.1")
+    since = time.monotonic()
+    read: list[tuple[int, int]] = []
+    try:
+        for _ in range(100):
+            bus.read()
+            read.append((bus.get(1, x.HARDWARE_ERROR), bus.get(1, x.FIRMWARE)))
+    finally:
+        servo.order("late 0 0")
+    assert len(servo.log("late", since=since)) > 10
+    assert set(read) == {(0, firmware)}
+
+
 @pytest.mark.parametrize("form", ["sync", "bulk", "fast"])
 def test_every_form_of_question_reads_the_memory(three, form):
     bus = Bus(three.address, 1_000_000, [1, 2, 7], form)

@@ -26,6 +26,7 @@ def test_a_payload_says_beside_its_mass_that_exact_gains_are_assumed():
     assert plain.to_dict()["gains"] == plain.exact_gains
 
 
+@pytest.mark.slow
 def test_stated_numbers_of_an_arm_are_answered():
     """One that leads alone is confirmed or refuted; one that shows only with others is neither."""
     data = recording(None, 0.02, 1, np.ones(6))

@@ -140,9 +140,8 @@ def arm(count=3000):
     return jaxid.Dataset.from_arrays(t, name(tau, "tau"), name(q, "q"), model="ur10")
 
 
-@pytest.mark.parametrize(
-    "method", [*(pytest.param(m, marks=pytest.mark.slow) for m in ("wls", "tls")), "rls"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["wls", "tls", "rls"])
 def test_identification_by_stretches(monkeypatch, method):
     data, found = arm(), []
     for stretch in (1 << 15, 1000):

@@ -347,7 +347,6 @@ QUICK = (
     "joint-tau-1",
     "pendulum-tau-1",
     "servo-q_cmd-enable-1",
-    "tracker-u_theta-u_alpha-2",
     "flexible_link-tau-2-nonlinear",
 )
 

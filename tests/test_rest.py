@@ -102,6 +102,7 @@ def deviations(fit) -> dict[str, float]:
     }
 
 
+@pytest.mark.slow
 def test_a_coast_to_rest_without_any_force_is_recovered():
     off = []
     for seed in range(20):

@@ -70,6 +70,7 @@ def test_a_run_from_rest_has_a_sample_before_its_first_step():
         assert abs(run.past.u[0, 0]) < 0.01  # it hangs, and nothing is commanded
 
 
+@pytest.mark.slow
 def test_what_its_first_command_keeps_at_rest_stays_as_it_is():
     binding = bind("pendulum", recorded_late(first=0.0))
     still = dataclasses.replace(

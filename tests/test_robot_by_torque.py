@@ -68,6 +68,7 @@ def file(tmp_path_factory):
     return str(path)
 
 
+@pytest.mark.slow
 def test_a_wrong_number_of_the_file_is_the_answer(file):
     true = re.sub(r'frictionloss="0.3"', 'frictionloss="0.42"', FILE)
     found = jaxid.diagnose(file, recorded(true), residual="inverse_dynamics")

@@ -25,6 +25,7 @@ def case(name):
     return CASES / name
 
 
+@pytest.mark.slow
 def test_the_torque_of_an_arm_under_a_law_is_the_laws():
     data = jaxid.load_dataset(case("robot_03_pd_arm_without_torque_refused") / "ds")
     found = jaxid.identify(None, data)
@@ -106,6 +107,7 @@ def test_what_the_numbers_of_a_robot_take_up_under_its_law():
     assert "joint_elasticity" in found.excitation  # not compared, and said so
 
 
+@pytest.mark.slow
 def test_joints_of_the_recording_in_another_order_go_by_name(tmp_path):
     folder = case("robot_10_joint_names_ignored")
     rows = np.genfromtxt(CASES / "run_1.csv", delimiter=",", names=True)

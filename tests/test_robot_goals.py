@@ -106,6 +106,7 @@ def along(bound: Binding, kinds: Any = ()) -> LedStudy:
     return LedStudy(bound, kinds, begin=bound.theta.copy())
 
 
+@pytest.mark.slow
 def test_a_joint_that_friction_holds_lacks_nothing():
     """The goal stands 0.2 N m away from where the joint sticks; its file's friction is 0.4."""
     model = robot(limb("lift"))
@@ -122,6 +123,7 @@ def test_a_joint_that_friction_holds_lacks_nothing():
     assert abs(creep[held + 20] - creep[held + 5]) < 1e-2 * np.ptp(creep)
 
 
+@pytest.mark.slow
 def test_a_limit_of_the_drive_is_found_where_the_drive_meets_it():
     """No probe of the library is near: the limit is met in some hundredths of the time."""
     model = robot(limb("lift", 0.05))

@@ -102,9 +102,8 @@ def test_a_fit_reads_the_spread_and_weighs_the_readings_by_it():
             assert estimate.std < other.std
 
 
-@pytest.mark.parametrize(
-    "beside", [(), pytest.param(("load_dependent_friction",), marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("beside", [(), ("load_dependent_friction",)])
 def test_a_diagnosis_names_time_stamps_that_scatter(beside):
     d = jaxid.diagnose(
         "pendulum", recording("pendulum", 1, jitter=0.003, **({"load": 0.1} if beside else {}))

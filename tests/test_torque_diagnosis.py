@@ -221,6 +221,7 @@ def test_a_load_that_only_later_runs_carry_is_named(arm):
     assert d.where and all("run_1" not in f.text for f in d.where)
 
 
+@pytest.mark.slow
 def test_a_reference_turns_the_question_to_what_is_different():
     arm, load = ARMS["three"], body(1.5, 0.05, 0.02, 0.1)
     before = jaxid.identify(

@@ -19,6 +19,12 @@ PROBES = 25  # questions that measure how long an answer takes
 TRIES = 5
 
 
+HEADER = 9  # bytes before the content of an answer
+
+
+LATE_S = 0.02  # an answer that is not there by then comes no more, but for a broken line
+
+
 FORMS = ("sync", "bulk", "fast")
 
 
@@ -56,14 +62,17 @@ class Bus:
                 return super().readPort(length)
 
         class PacketHandler(dynamixel_sdk.Protocol2PacketHandler):
-            """Leaves the checksum out of an answer; the SDK alone takes it for the content of one
-            that has none.
+            """Leaves the checksum out of an answer, and keeps its size. The SDK alone takes the
+            checksum for the content of an answer that has none, and cuts one that is too long.
             """
+
+            size = 0  # bytes of content of the last answer
 
             def rxPacket(self, port: Any, fast_option: bool) -> Any:
                 packet, result = super().rxPacket(port, fast_option)
                 if result == dynamixel_sdk.COMM_SUCCESS and not fast_option:
                     packet = packet[: 5 + (packet[5] | packet[6] << 8)]
+                    self.size = len(packet) - HEADER
                 return packet, result
 
         self.port = Port(port)
@@ -85,27 +94,33 @@ class Bus:
             content, result, error = self.packets.readTxRx(
                 self.port, identity, register.address, register.size
             )
-            if result == 0 and len(content) == register.size and not error & 0x7F:
+            if self._answers(result, error, register.size):
                 return x.decode(content, register, register.address)
             what = self._what(result, error)
-            self.settle()
+            self.settle(quiet_s=LATE_S)
         raise BusError(f"servo {identity}: register {register.address} cannot be read ({what})")
 
     def put(self, identity: int, register: x.Register, value: int) -> None:
-        """Writes and reads back; raises `BusError` after `TRIES` failures."""
+        """Raises `BusError` after `TRIES` failures."""
         content = list(value.to_bytes(register.size, "little", signed=register.signed))
         what = ""
         for _ in range(TRIES):
             result, error = self.packets.writeTxRx(
                 self.port, identity, register.address, register.size, content
             )
-            if result == 0 and not error & 0x7F:
+            if self._answers(result, error, 0):
                 return
             what = self._what(result, error)
-            self.settle()
+            self.settle(quiet_s=LATE_S)
         raise BusError(
             f"servo {identity}: register {register.address} cannot be set to {value} ({what})"
         )
+
+    def _answers(self, result: int, error: int, size: int) -> bool:
+        """Whether the last packet answers the question: a late one of another question differs in
+        its size.
+        """
+        return result == self.sdk.COMM_SUCCESS and not error & 0x7F and self.packets.size == size
 
     def _what(self, result: int, error: int) -> str:
         text = (
@@ -119,12 +134,12 @@ class Bus:
         """The model number, or None."""
         for _ in range(2):
             try:
-                model, result, _ = self.packets.ping(self.port, identity)
-                if result == 0:
+                model, result, error = self.packets.ping(self.port, identity)
+                if self._answers(result, error, size=3):  # model number and firmware
                     return model
             except IndexError:  # an empty answer, of another question
                 pass
-            self.settle()
+            self.settle(quiet_s=LATE_S)
         return None
 
     # ---- samples
@@ -155,7 +170,7 @@ class Bus:
             content, result, error = self.packets.readRx(self.port, identity, size)
             if result != 0:
                 return self._missed("silent" if result == self.sdk.COMM_RX_TIMEOUT else "corrupt")
-            if len(content) != size or error & 0x7F:
+            if not self._answers(result, error, size):
                 return self._missed("of another question")
             self._note(identity, error)
             blocks.append(bytes(content))
@@ -185,17 +200,17 @@ class Bus:
         self.lost[why] = self.lost.get(why, 0) + 1
         self.settle()
 
-    def settle(self) -> None:
+    def settle(self, quiet_s: float = 0.002) -> None:
         """After a failure: waits until the line has been quiet, so that no late answer is taken for
         the next one.
         """
         self.port.is_using = False
-        until = time.monotonic() + 0.02
-        quiet = time.monotonic() + 0.002
+        until = time.monotonic() + 10 * quiet_s
+        quiet = time.monotonic() + quiet_s
         while (now := time.monotonic()) < min(until, quiet):
             if self.port.getBytesAvailable():
                 self.port.clearPort()
-                quiet = now + 0.002
+                quiet = now + quiet_s
             time.sleep(2e-4)
 
     def write(self, register: x.Register, values: Sequence[int]) -> None:
