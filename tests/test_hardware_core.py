@@ -29,7 +29,7 @@ from jaxid.hardware.clock import from_arrivals, from_signals, within_tick
 from jaxid.hardware.dynamixel.tick import TickClock
 from jaxid.hardware.limits import Clamp, Refused
 from jaxid.hardware.link import Closed, Driver, farewell, Leash, Link, StopRequest
-from jaxid.hardware.pauses import kept_from_running, Pauses, waited
+from jaxid.hardware.pauses import kept_from_running, Pauses, progress_said, waited
 from jaxid.hardware.port import opened
 from jaxid.hardware.preflight import refuse_size
 from jaxid.hardware.recorder import Column, read_events, read_rows, Recorder, Stream
@@ -587,6 +587,41 @@ def test_channels_for_models():
     ]:
         with pytest.raises(UsageError, match=words):
             channel_map(*arguments)
+
+
+TWO_JOINTS = """<mujoco><worldbody>
+  <body name="a"><joint name="shoulder" axis="0 1 0"/><geom size="0.1" mass="1"/>
+    <body name="b" pos="0 0 1"><joint name="lift" type="{second}" axis="0 1 0"/><geom size="0.1" mass="1"/></body>
+  </body></worldbody></mujoco>"""
+
+
+def test_channels_for_a_robot_of_a_file(tmp_path):
+    file = tmp_path / "arm.xml"
+    file.write_text(TWO_JOINTS.format(second="hinge"))
+    kinds = [("q", "rad", "output"), ("current", "A", "input"), ("q_cmd", "rad", "auxiliary")]
+    columns = [
+        Column(name.replace("_", f"{j}_") if "_" in name else f"{name}{j}", unit, role)
+        for name, unit, role in kinds
+        for j in (1, 2)
+    ]
+    goals = channel_map(str(file), columns, None, None)
+    assert goals["shoulder"] == {"role": "output", "unit": "rad", "column": "q1"}
+    assert goals["lift_cmd"] == {"role": "input", "unit": "rad", "column": "q2_cmd"}
+    assert goals["current1"]["role"] == "auxiliary" and "q2" not in goals
+    torques = channel_map(str(file), columns, None, [5.0, 7.0])
+    assert torques["lift_tau"] == {"role": "input", "unit": "N m", "column": "current2", "scale": 7}
+    assert torques["q1_cmd"]["role"] == "auxiliary"
+    file.write_text(TWO_JOINTS.format(second="slide"))
+    with pytest.raises(
+        UsageError, match="for 'lift' it needs 'q2' in m, which this device does not record"
+    ):
+        channel_map(str(file), columns, None, [5.0, 7.0])
+
+
+def test_progress_of_a_recording_is_in_seconds_and_never_beyond_its_end():
+    assert progress_said(2.9, 20.6, 500) == ("recording, seconds", 2, 20, "500 samples")
+    late = progress_said(28.9, 20.6, 500)
+    assert late[1:] == (20, 20, "500 samples, 8 s behind its plan")
 
 
 # ---- sensors

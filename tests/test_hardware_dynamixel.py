@@ -289,6 +289,25 @@ def test_a_current_stays_a_current_unless_a_gain_is_stated(servo, tmp_path):
     )
 
 
+PENDULUM = """<mujoco><worldbody><body>
+  <joint name="servo" axis="0 1 0"/><inertial pos="0 0 -0.1" mass="0.4" diaginertia="1e-3 1e-3 1e-3"/>
+</body></worldbody></mujoco>"""
+
+
+def test_a_recording_for_a_robots_file_names_its_joint_and_holds_the_file(servo, tmp_path):
+    robot = tmp_path / "pendulum.xml"
+    robot.write_text(PENDULUM)
+    device = Dynamixel(servo.address, mode="current", rate=RATE)
+    out = tmp_path / "out"
+    record(device, out, play=path(), live=True, model=str(robot), gain=1.77, limits=LIMITS)
+    robot.unlink()
+    data = load_dataset(out)
+    assert data.model is not None and data.model.name == "robot"
+    assert data.input_names == ["servo_tau"] and data.output_names == ["servo"]
+    told = 1.77 * np.max(np.abs(stored(out)["current_cmd"]))
+    assert np.max(np.abs(data.experiments[0].u[:, 0])) == pytest.approx(told, rel=1e-9)
+
+
 def test_without_live_nothing_is_written(servo, tmp_path):
     since = time.monotonic()
     result = record(

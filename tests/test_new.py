@@ -12,6 +12,7 @@ import pytest
 import jaxid
 from jaxid.cli import new as command
 from jaxid.cli.app import main
+from jaxid.data.importers import by_joint
 from jaxid.data.importers.new_dataset import new_dataset
 from jaxid.problem.proposed_model import proposed_models, without_a_model
 
@@ -174,3 +175,52 @@ def test_a_fan_by_its_speed_is_told_to_be_a_joint(tmp_path, capsys):
     )
     assert main(["new", str(tmp_path / "fan"), str(log)]) == 0
     assert "--model joint" in capsys.readouterr().out
+
+
+ARM = """<mujoco><worldbody>
+  <body name="a"><joint name="shoulder" axis="0 1 0"/><geom size="0.1" mass="1"/>
+    <body name="b" pos="0 0 1"><joint name="lift" type="slide" axis="0 1 0"/><geom size="0.1" mass="1"/></body>
+  </body></worldbody>
+  <actuator><position joint="shoulder" kp="9" kv="1"/><position joint="lift" kp="9" kv="1"/></actuator>
+</mujoco>"""
+
+
+def test_columns_of_a_robots_joints_are_its_channels(tmp_path, capsys):
+    (tmp_path / "arm.xml").write_text(ARM)
+    header = "time,shoulder_cmd,lift_cmd_m,shoulder,lift_pos_mm,shoulder_current,spare"
+    columns = (np.sin(T), np.cos(T), np.sin(T), 1000 * np.cos(T), T, T)
+    log = written(tmp_path / "log.csv", header, T, *columns)
+    out = tmp_path / "arm"
+    words = ["new", str(out), str(log), "--model", str(tmp_path / "arm.xml")]
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert "--unit shoulder_cmd=UNIT," in error and "one stands for all" in error
+    assert main([*words, "--unit", "shoulder=rad"]) == 0
+    said = capsys.readouterr().out
+    assert f"jaxid diagnose {out} --out out" in said
+    data = jaxid.load_dataset(out)
+    assert data.model is not None and data.model.name == "robot"
+    assert data.input_names == ["shoulder_cmd", "lift_cmd"]
+    assert data.output_names == ["shoulder", "lift"]
+    np.testing.assert_allclose(data.experiments[0].y[:, 1], np.cos(T), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("column", "name"),
+    [
+        ("shoulder", "shoulder"),
+        ("shoulder_pos_deg", "shoulder"),
+        ("target_shoulder", "shoulder_cmd"),
+        ("shoulder_setpoint", "shoulder_cmd"),
+        ("shoulder_velocity", "shoulder_qd"),
+        ("shoulder_torque_Nm", "shoulder_tau"),
+        ("shoulder_temperature", None),
+        ("shoulder_error", None),
+        ("shoulders", None),
+        ("shoulder_2", "shoulder_2"),
+    ],
+)
+def test_a_column_says_its_joint(column, name):
+    joints = {"shoulder": False, "shoulder_2": False}
+    found = by_joint._of_a_joint(column, "", joints)
+    assert (None if found is None else found.name) == name

@@ -123,6 +123,17 @@ def percent(fraction: float | None) -> str:
     return f"{100 * fraction:.{decimals}f} %"
 
 
+def run_words(name: str) -> str:
+    """A run as a person says it: `run_1#2#fit` is run_1, part 2 (fit data)."""
+    base, *marks = name.split("#")
+    parts = [mark for mark in marks if mark.isdigit()]
+    splits = [mark for mark in marks if mark in ("fit", "validation", "report")]
+    if not base or len(parts) + len(splits) < len(marks):  # a name of the user's own
+        return name
+    part = f", part {'.'.join(parts)}" if parts else ""
+    return f"{base}{part}" + "".join(f" ({split} data)" for split in splits)
+
+
 def listed(names: Iterable[str]) -> str:
     """`a`, `a and b`, `a, b and c`."""
     names = list(names)

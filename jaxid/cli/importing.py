@@ -173,7 +173,9 @@ def import_(kind, files, out, overwrite, as_json, quiet, **options) -> int:
         }
         print(json.dumps(summary, indent=1))
     elif not quiet:
-        terminal.say(f"{data.name}: {len(data.experiments)} experiments written to {folder}")
+        runs = len(data.experiments)
+        word = "run" if runs == 1 else "runs"
+        terminal.say(f"{data.name}: {runs} {word} written to {folder}")
         if command:
             terminal.say(f"recognised, and said in full: {command}")
     return SUCCESS

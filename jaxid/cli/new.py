@@ -19,7 +19,7 @@ from jaxid.cli.options import output_options
 
 
 if TYPE_CHECKING:
-    from jaxid.data.dataset import Dataset
+    from jaxid.data.dataset import Dataset, Geometry
     from jaxid.data.importers.channels import Proposed
     from jaxid.data.importers.map import Imported
     from jaxid.problem.proposed_model import ProposedModel
@@ -69,9 +69,10 @@ def new(folder, files, model, units, roles, join, rate, overwrite, as_json, quie
     import jaxid
     from jaxid.base.errors import DatasetWarning
     from jaxid.data.importers.new_dataset import new_dataset
-    from jaxid.dynamics.catalogue import model_names
     from jaxid.problem.proposed_model import proposed_models
+    from jaxid.robots.match import is_file, joints_that_move, spec_of_file
 
+    robot = spec_of_file(model).geometry if is_file(model) else None
     asking = sys.stdin.isatty() and not (as_json or quiet)
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always", DatasetWarning)
@@ -82,6 +83,7 @@ def new(folder, files, model, units, roles, join, rate, overwrite, as_json, quie
             rate=rate,
             units=units,
             roles=roles,
+            joints=None if robot is None else joints_that_move(model),
             ask=asked_unit if asking else None,
             overwrite=overwrite,
         )
@@ -92,9 +94,7 @@ def new(folder, files, model, units, roles, join, rate, overwrite, as_json, quie
     proposed = [p for p in proposed_models(data) if not p.renamed]
     if model is None and proposed:
         model = chosen(proposed, asking)
-    named = model is not None and model in model_names()
-    if model is not None and named:  # a file stays where it is, and is named by the command
-        write_model(done.folder / "dataset.toml", model)
+    named = write_model(done.folder, model, robot)
     if as_json:
         print(json.dumps(content(done, data, model, proposed), indent=1))
     elif not quiet:
@@ -145,13 +145,26 @@ def chosen(proposed: Sequence[ProposedModel], asking: bool) -> str | None:
     return click.prompt("model", type=click.Choice(names_of(proposed)))
 
 
-def write_model(path: Path, model: str) -> None:
-    """Names the model in a `dataset.toml`."""
+def write_model(folder: Path, model: str | None, robot: Geometry | None) -> bool:
+    """Names the model in a `dataset.toml`, a robot's file as its copy in the folder. False where
+    there is none, or one of the user's own, which stays where it is.
+    """
     import tomlkit
 
+    from jaxid.data.write import written_robot
+    from jaxid.dynamics.catalogue import model_names
+
+    if robot is not None:
+        entry = {"robot": written_robot(robot, folder)}
+    elif model in model_names():
+        entry = {"name": model}
+    else:
+        return False
+    path = folder / "dataset.toml"
     content = tomlkit.parse(path.read_text(encoding="utf-8"))
-    content["model"] = {"name": model}
+    content["model"] = entry
     path.write_text(tomlkit.dumps(content), encoding="utf-8")
+    return True
 
 
 def text(

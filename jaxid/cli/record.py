@@ -12,6 +12,7 @@ from pathlib import Path
 
 import click
 
+from jaxid.base.errors import UsageError
 from jaxid.base.stopping import ending
 from jaxid.cli import terminal
 from jaxid.cli.app import Commands, FAILED, SUCCESS
@@ -85,7 +86,11 @@ def _common(command: Callable) -> Callable:
             default="fit",
             show_default=True,
         ),
-        click.option("--model", metavar="M", help="The model that the dataset is meant for."),
+        click.option(
+            "--model",
+            metavar="M",
+            help="The model that the dataset is meant for, or a robot's file.",
+        ),
         click.option(
             "--joint",
             type=click.IntRange(1),
@@ -165,7 +170,6 @@ def ur10(host, rate, **options) -> int:
 @_common
 def dynamixel(port, ids, baud, rate, mode, zero, form, **options) -> int:
     """Dynamixel servos of the X series."""
-    from jaxid.base.errors import UsageError
     from jaxid.base.extras import required
     from jaxid.hardware import Dynamixel
 
@@ -218,6 +222,9 @@ def _watched(out: Path, model: str | None) -> Iterator[None]:
     shown = subprocess.Popen(words, stdout=sys.stderr, start_new_session=True)
     try:
         yield
+    except UsageError:  # nothing was recorded, and the page has nothing to tidy up
+        shown.kill()
+        raise
     finally:
         shown.terminate()
         shown.wait()

@@ -85,7 +85,7 @@ def _write_model_files(model: ModelSpec, folder: Path) -> None:
         file = Path(own[0])
         (folder / file.name).write_bytes(file.read_bytes())
     if links is not None and links.robot:
-        (folder / robot_file(links)).write_text(links.robot, encoding="utf-8")
+        written_robot(links, folder)
 
 
 def _flag(channel: str) -> str:
@@ -151,6 +151,14 @@ def _links(links: Geometry, base: Mapping[str, Any]) -> dict[str, Any]:
     if links.robot:
         return {"robot": robot_file(links), "tip": links.tip, "base": dict(base) or None}
     return {"dh": {"convention": links.convention, **links.columns}}
+
+
+def written_robot(links: Geometry, folder: Path) -> str:
+    """Writes a robot's file into a dataset's folder; its name there."""
+    assert links.robot is not None
+    name = robot_file(links)
+    (folder / name).write_text(links.robot, encoding="utf-8")
+    return name
 
 
 def robot_file(links: Geometry) -> str:

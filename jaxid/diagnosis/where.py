@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxid.base.wording import number, percent
+from jaxid.base.wording import number, percent, run_words
 from jaxid.data.dataset import Experiment
 from jaxid.data.splits import LATE
 from jaxid.diagnosis.cause import span, variable, words
@@ -465,9 +465,10 @@ def during(window: tuple[float, float], e: Experiment) -> str:
     before.
     """
     if abs(e.t[0]) < LATE:
-        return f"from {window[0]:.3f} to {window[1]:.3f} s of {e.name}"
+        return f"from {window[0]:.3f} to {window[1]:.3f} s of {run_words(e.name)}"
     return (
-        f"from {window[0] - e.t[0]:.5g} to {window[1] - e.t[0]:.5g} s after the start of {e.name}"
+        f"from {window[0] - e.t[0]:.5g} to {window[1] - e.t[0]:.5g} s after the start of"
+        f" {run_words(e.name)}"
     )
 
 

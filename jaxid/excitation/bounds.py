@@ -110,7 +110,7 @@ def bounds_of(model: str, signature: Signature, stated: Limits | None, table: An
                 np.minimum(0.9 * table.velocity, speed),
                 speed,
             )
-            source = "the URDF's ranges and speeds where it states them, but not beyond " + source
+            source = "the file's ranges and speeds where it states them, but not beyond " + source
     own = []
     for name, value in (
         ("lower", lower),

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from jaxid.base.errors import UsageError
+from jaxid.data.dataset import Geometry
 from jaxid.hardware.recorder import Column
 
 
@@ -14,29 +15,26 @@ def channel_map(
 ) -> dict[str, dict]:
     """`[channels]` of a dataset: as recorded, or as a model needs them.
 
-    With a model, torques are currents times a stated gain (N m/A), which stays visible as `scale`;
-    `joint` picks one joint of several for a model with one. Raises `UsageError` where the model
-    cannot be served.
+    `model` is an id or a robot's file, whose joints are the device's in their order. With a model,
+    torques are currents times a stated gain (N m/A), which stays visible as `scale`; `joint` picks
+    one joint of several for a model with one. Raises `UsageError` where the model cannot be served.
     """
     columns = [c for c in columns if c.role != "clock"]
     have = {c.name: c for c in columns}
     if model is None:
         return {c.name: _channel(c) for c in columns}
-    from jaxid.dynamics.catalogue import describe
-
-    first, used = "", set()
-    for signature in describe(model).signatures:
-        wanted = [(n, u, "input") for n, u in signature.inputs] + [
-            (n, u, "output") for n, u in signature.outputs
-        ]
+    first = ""
+    for wanted in _forms(model, joint, bool(gain)):
         chosen: dict[str, dict] = {}
         used = set()
-        for name, unit, role in wanted:
+        for channel, name, unit, role in wanted:
             entry, column = _serve(name, unit, role, have, joint, gain)
             if column is None:
-                first = first or entry
+                first = first or (entry if channel == name else f"for {channel!r} {entry}")
                 break
-            chosen[name] = entry
+            if column != channel:
+                entry["column"] = column
+            chosen[channel] = entry
             used.add(column)
         else:
             # What the model does not need stays auxiliary; a column that is needed under another
@@ -48,6 +46,41 @@ def channel_map(
             }
             return chosen | rest
     raise UsageError(f"model {model}: {first}")
+
+
+def robot_of(model: str | None) -> Geometry | None:
+    """The file of a robot that a recording is meant for, includes in place; None for a model."""
+    if model is None:
+        return None
+    from jaxid.robots.match import is_file, spec_of_file
+
+    return spec_of_file(model).geometry if is_file(model) else None
+
+
+def _forms(model: str, joint: int | None, gain: bool) -> Iterator[list[tuple[str, str, str, str]]]:
+    """What a model may be recorded by, the first that is there: (channel, the device's word for it,
+    unit, role) of each.
+    """
+    from jaxid.robots.match import is_file, joints_that_move
+
+    if not is_file(model):
+        from jaxid.dynamics.catalogue import describe
+
+        for signature in describe(model).signatures:
+            inputs = [(name, name, unit, "input") for name, unit in signature.inputs]
+            yield inputs + [(name, name, unit, "output") for name, unit in signature.outputs]
+        return
+    joints = joints_that_move(model)
+    numbers = [""] if len(joints) == 1 else [str(k) for k in range(1, len(joints) + 1)]
+    numbered = dict(zip(joints, numbers, strict=True))
+    motion, goals, torques = [], [], []
+    for name, slides in joints.items():
+        number = numbered[name]
+        motion.append((name, f"q{number}", "m" if slides else "rad", "output"))
+        goals.append((f"{name}_cmd", f"q{number}_cmd", "m" if slides else "rad", "input"))
+        torques.append((f"{name}_tau", f"tau{number}", "N" if slides else "N m", "input"))
+    yield (torques if gain else goals) + motion
+    yield (goals if gain else torques) + motion
 
 
 def _channel(c: Column) -> dict[str, Any]:
@@ -75,10 +108,7 @@ def _serve(
     joined = f"{base}{place}_{tail}" if tail else f"{base}{place}"
     for column in (joined, f"{stem}{place}", name):
         if column in have and have[column].unit == unit:
-            entry = _channel(have[column]) | {"role": role}
-            if column != name:
-                entry["column"] = column
-            return entry, column
+            return _channel(have[column]) | {"role": role}, column
     if stem == "tau":
         column = _current_of(place, have)
         if column is not None:

@@ -130,6 +130,7 @@ def finish(folder: str | os.PathLike[str], end_reason: str | None = None) -> Rec
         **{k: v for k, v in about.items() if k not in ("streams", "sensor_files")},
         "devices": {s.name: {"clock": s.clock, **s.info} for s in streams},
     }
+    _keep_robot(folder, about)
     write_run(
         out=out,
         number=number,
@@ -154,6 +155,14 @@ def finish(folder: str | os.PathLike[str], end_reason: str | None = None) -> Rec
         end_reason=end_reason,
         notes=tuple(run.notes),
     )
+
+
+def _keep_robot(folder: Path, about: Mapping[str, Any]) -> None:
+    """The file of the robot that the recording is meant for, from the recording's folder into that
+    of the dataset.
+    """
+    if about.get("robot"):
+        shutil.copyfile(folder / about["robot"], folder.parent / about["robot"])
 
 
 @dataclass

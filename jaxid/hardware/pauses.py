@@ -59,3 +59,12 @@ def kept_from_running(silence: float, kept: float) -> str:
     if kept > 0.5 * silence:
         return f": {busy(min(kept, silence))}"
     return "; it hangs, or this computer was too busy to run it"
+
+
+def progress_said(seconds: float, total: float, samples: int) -> tuple[str, int, int, str]:
+    """What progress says of a recording: in whole seconds, and never beyond its end. A path whose
+    commands were late takes longer than planned.
+    """
+    done = min(int(seconds), int(total))
+    late = f", {seconds - total:.0f} s behind its plan" if seconds >= total + 1 else ""
+    return "recording, seconds", done, int(total), f"{samples} samples{late}"

@@ -49,7 +49,7 @@ def write_run(
         _append_run(document, entry)
         _replace(path, tomlkit.dumps(document))
         return
-    content = _new_dataset(about, columns)
+    content = _new_dataset(out, about, columns)
     content["experiments"] = [entry]
     _replace(path, tomlkit.dumps(content))
 
@@ -63,12 +63,14 @@ def _append_run(document: Any, entry: Mapping[str, Any]) -> None:
         runs.append(tomlkit.item(dict(entry)))
 
 
-def _new_dataset(about: Mapping[str, Any], columns: Sequence[Column]) -> dict[str, Any]:
+def _new_dataset(out: Path, about: Mapping[str, Any], columns: Sequence[Column]) -> dict[str, Any]:
     """The description of a dataset without its runs."""
-    model = about.get("model")
+    model, robot = about.get("model"), about.get("robot")
     content: dict[str, Any] = {key: about[key] for key in ("name", "description", "source")}
+    if robot:
+        model = str(out / robot)
     if model:
-        content["model"] = {"name": model}
+        content["model"] = {"robot": robot} if robot else {"name": model}
         if about.get("model_constants"):
             content["model"]["constants"] = about["model_constants"]
     content["channels"] = channel_map(model, columns, about.get("joint"), about.get("gain"))

@@ -17,12 +17,13 @@ from typing import Any
 from jaxid.base.errors import UsageError
 from jaxid.base.wording import names_of
 from jaxid.data.limits import Limits
+from jaxid.data.write import robot_file, written_robot
 from jaxid.hardware import preflight
-from jaxid.hardware.channels import channel_map
+from jaxid.hardware.channels import channel_map, robot_of
 from jaxid.hardware.device import Device, PathPlan, Sample
 from jaxid.hardware.errors import HardwareError
 from jaxid.hardware.finishing import finish, Recording
-from jaxid.hardware.pauses import Pauses
+from jaxid.hardware.pauses import Pauses, progress_said
 from jaxid.hardware.preflight import (
     check_words,
     dry_text,
@@ -140,9 +141,13 @@ def record(
             bounds=bounds,
         )
         about["sensor_files"] = [f.model_dump(exclude_none=True) for f in files]
+        robot = robot_of(model)
+        about["robot"] = None if robot is None else robot_file(robot)
         out.mkdir(parents=True, exist_ok=True)
         folder = out / f"run_{number}{SUFFIX}"
         recorder = Recorder(folder, streams, about)
+        if robot is not None:
+            written_robot(robot, folder)
         reason, error = _recorded(
             device=device,
             sensors=serial,
@@ -376,8 +381,7 @@ def _watched(
         if progress is not None and now - told > 0.2:
             told = now
             watch.pauses.lap()
-            done, samples = round(10 * (now - watch.began)), recorder.counts[0]
-            progress("recording", done, round(10 * total), f"{samples} samples")
+            progress(*progress_said(now - watch.began, total, recorder.counts[0]))
             watch.pauses.lap(doing="showing the progress")
         if plan is None and now - watch.began >= seconds:
             return "the time was over"

@@ -13,7 +13,7 @@ from jaxid.base.errors import nearest, UsageError
 from jaxid.base.wording import names_of
 from jaxid.report import plot
 from jaxid.report.budget_picture import draw_gap
-from jaxid.report.traces import colors
+from jaxid.report.traces import colors, run_of
 
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ def trace(t: Trace, ax: Axes | None = None) -> Axes:
     if bounds := plot.limits(*rests.values()):
         ax.set_ylim(bounds)
     ax.set(
-        xlabel=f"time in {plot.label(t.experiment)} (s)",
+        xlabel=f"time in {plot.label(run_of(t))} (s)",
         ylabel=f"measured − model, {plot.with_unit(t.channel, t.unit)}",
     )
     legend(ax, len(rests) + 1)
@@ -126,7 +126,7 @@ def fit(result: Fit, channel: str | None = None, ax: Axes | None = None) -> Axes
     for (label, series), color in zip(t.simulated.items(), colors(list(t.simulated)), strict=True):
         ax.plot(*plot.thin(t.t, plot.series(series)), color=color, lw=1.1, label=plot.label(label))
     ax.set(
-        xlabel=f"time in {plot.label(t.experiment)}, {t.split} data (s)",
+        xlabel=f"time in {plot.label(run_of(t))} (s)",
         ylabel=plot.with_unit(t.channel, t.unit),
     )
     legend(ax, 1 + len(t.simulated))

@@ -119,7 +119,7 @@ def picture(forces: Sequence[MissingForce], name: str, variable: str = ""):
             thinned = plot.thin(longest.t, plot.series(force), points)
             over_time.plot(*thinned, color=color, linewidth=0.9)
         draw_noise(over_time, longest.t, plot.series(longest.floor), points // 4)
-        over_time.set_xlabel(f"time in {plot.label(longest.experiment)} (s)")
+        over_time.set_xlabel(f"time in {plot.label(wording.run_words(longest.experiment))} (s)")
         over_time.set_ylabel(f"missing ({plot.unit(unit)})")
         over_time.margins(x=0)
         if bounds:

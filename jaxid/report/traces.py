@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxid.base.wording import run_words
 from jaxid.report import plot
 from jaxid.report.page import Section
 
@@ -19,6 +20,12 @@ SHOWN = 6
 _ORDER = {"report": 0, "validation": 1, "fit": 2}
 
 
+def run_of(trace: Trace) -> str:
+    """The run of a trace, with what its data were for: `run_1 (report data)`."""
+    own = trace.experiment.removesuffix(f"#{trace.split}")
+    return run_words(f"{own}#{trace.split}")
+
+
 def section(traces: Sequence[Trace]) -> Section | None:
     """Report data first; at most six pictures."""
     if not traces:
@@ -26,7 +33,7 @@ def section(traces: Sequence[Trace]) -> Section | None:
     ordered = sorted(traces, key=lambda trace: _ORDER.get(trace.split, 3))
     pictures = [
         (
-            f"{t.channel} in {t.experiment.removesuffix(f'#{t.split}')} ({t.split} data)",
+            f"{t.channel} in {run_of(t)}",
             picture(t, f"trace-{i}"),
         )
         for i, t in enumerate(ordered[:SHOWN])

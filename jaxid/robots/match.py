@@ -60,6 +60,13 @@ def is_file(model: object) -> TypeGuard[str]:
     return isinstance(model, str) and model.lower().endswith((".urdf", ".xml", ".mjcf"))
 
 
+def joints_that_move(path: str) -> dict[str, bool]:
+    """The joints of a robot's file that are recorded, in its order: name, and whether it slides."""
+    tree: Tree = robot_from(path).tree.tree
+    slides = dict(zip(tree.joints, tree.slides, strict=True))
+    return {joint: bool(slides[joint]) for joint in tree.leading}
+
+
 def spec_of_file(path: str) -> ModelSpec:
     """What a dataset says of a robot by its file, includes in place."""
     text = (

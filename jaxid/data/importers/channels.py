@@ -43,7 +43,7 @@ _LINEAR = {"position": "position", "velocity": "velocity", "acceleration": "acce
 @dataclass(frozen=True)
 class Proposed:
     """One channel: what is written behind `--channel`, in parts; `unit` is empty where nothing
-    states it.
+    states it. Channels of one `alike` have one unit, where a person says it.
     """
 
     name: str
@@ -51,6 +51,7 @@ class Proposed:
     unit: str
     role: str
     quantity: str
+    alike: str = ""
 
     def __str__(self) -> str:
         return f"{self.name}={self.column}:{self.unit or '1'}:{self.role}"
@@ -85,7 +86,7 @@ def channels_of(
         found[place] = replace(found[place], role="output")
     order = {c: k for k, c in enumerate(columns)}
     found.sort(key=lambda c: order.get(c.column, order.get(c.column.replace("*", "0"), 0)))
-    return _named_once(found)
+    return named_once(found)
 
 
 def _of_group(
@@ -168,7 +169,7 @@ def _plain(column: str) -> str:
     return word if re.match(r"[A-Za-z]", word) else f"channel_{word}"
 
 
-def _named_once(found: Sequence[Proposed]) -> list[Proposed]:
+def named_once(found: Sequence[Proposed]) -> list[Proposed]:
     """Names that stand there twice are numbered."""
     out: list[Proposed] = []
     taken = {"t"}

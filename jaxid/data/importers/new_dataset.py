@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from jaxid.base.errors import nearest, UsageError
 from jaxid.base.wording import names_of
+from jaxid.data.importers.by_joint import channels_by_joint
 from jaxid.data.importers.channels import Proposed
 from jaxid.data.importers.command import ImportRequest
 from jaxid.data.importers.joining import joined_files
@@ -31,12 +32,14 @@ def new_dataset(
     rate: float | None = None,
     units: Mapping[str, str] | None = None,
     roles: Mapping[str, str] | None = None,
+    joints: Mapping[str, bool] | None = None,
     ask: Ask | None = None,
     overwrite: bool = False,
 ) -> Imported:
-    """The files as a dataset folder, with time and channels as they are recognised. `units` and
-    `roles` (by channel or by column) come before what is recognised. `ask` is asked for the units
-    of inputs and outputs that no file states; without it they have to be in `units`.
+    """The files as a dataset folder, with time and channels as they are recognised; those of a
+    robot's `joints` (name: whether it slides) by their names. `units` and `roles` (by channel or by
+    column) come before what is recognised. `ask` is asked for the units of inputs and outputs that
+    no file states, once for the joints' positions; without it they have to be in `units`.
 
     Raises `UsageError` that says what was recognised and what to type.
     """
@@ -50,7 +53,8 @@ def new_dataset(
         raise UsageError(
             f"{sources[0].path.name} holds no column of times ({listed}): type --rate HZ"
         )
-    channels = _with_roles(found.channels, roles or {})
+    channels = channels_by_joint(found.channels, found.columns, found.units, joints or {})
+    channels = _with_roles(channels, roles or {})
     channels = _with_units(channels, units or {}, ask)
     said = [str(channel) for channel in channels]
     if found.time is not None:
@@ -73,20 +77,44 @@ def _with_units(
     channels: Sequence[Proposed], units: Mapping[str, str], ask: Ask | None
 ) -> list[Proposed]:
     _known(channels, units)
-    found, unknown = [], []
+    said = _said_of_one(channels, units)
+    found: list[Proposed] = []
+    unknown: dict[str, Proposed] = {}
     for channel in channels:
         unit = units.get(channel.name, units.get(channel.column, channel.unit))
+        kind = channel.alike or channel.name
+        unit = unit or said.get(kind, "")
         if not unit and channel.role != "auxiliary":
             if ask is None:
-                unknown.append(channel)
+                unknown.setdefault(kind, channel)
             else:
-                unit = ask(channel)
+                unit = said[kind] = ask(channel)
         found.append(replace(channel, unit=unit))
     if unknown:
-        listed = ", ".join(f"{channel.column} ({channel.role})" for channel in unknown)
-        options = " ".join(f"--unit {channel.name}=UNIT" for channel in unknown)
-        raise UsageError(f"no file states the unit of {listed}: type {options}, such as rad or N m")
+        raise UsageError(_lacking(unknown.values()))
     return found
+
+
+def _said_of_one(channels: Sequence[Proposed], units: Mapping[str, str]) -> dict[str, str]:
+    """Units that a person said of one of several channels that are alike."""
+    said: dict[str, str] = {}
+    for channel in channels:
+        unit = units.get(channel.name, units.get(channel.column))
+        if unit and channel.alike:
+            said.setdefault(channel.alike, unit)
+    return said
+
+
+def _lacking(unknown: Iterable[Proposed]) -> str:
+    """What to type for the units that no file states, of several alike for the first."""
+    names, options, more = [], [], ""
+    for channel in unknown:
+        names.append(f"{channel.column} ({channel.role})")
+        options.append(f"--unit {channel.name}=UNIT")
+        if channel.alike:
+            more = "; of several joints one stands for all"
+    typed = " ".join(options)
+    return f"no file states the unit of {', '.join(names)}: type {typed}, such as rad or N m{more}"
 
 
 def _known(channels: Sequence[Proposed], said: Mapping[str, str]) -> None:
