@@ -146,3 +146,10 @@ def test_where_something_is_missing_that_nothing_is_has_no_probability():
         which = Which(verdict, (), (), (), belief=belief)
         assert which.to_dict()["none"] == expected
     assert Which("unknown", (), (), ()).to_dict()["none"] is None
+
+
+def test_what_simulations_take_back_is_no_more_probable_than_they_make_it():
+    columns = Belief({("torque_scale", "tau"): 0.98, ("actuator_lag", "tau"): 0.2}, none=0.0)
+    judged = {("torque_scale", "tau"): 0.1, ("actuator_lag", "tau"): 0.9, ("backlash", "q"): 0.5}
+    places = {("torque_scale", "tau"): 0.1, ("actuator_lag", "tau"): 0.2}
+    assert columns.at_most(judged).places == places

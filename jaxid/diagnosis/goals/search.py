@@ -44,7 +44,8 @@ class Decider:
     lead: list[Hypothesis] = field(
         default_factory=list
     )  # what explained most so far, for the line of progress
-    sure: dict[str, float] = field(default_factory=dict)  # of effects that simulations asked
+    #: (effect, place) -> probability by the last simulation that asked whether it is missed.
+    sure: dict[tuple[str, str], float] = field(default_factory=dict)
     asked: frozenset[int] = frozenset()  # numbers of the model that are asked for as effects
 
     def refit(
@@ -141,14 +142,14 @@ class Decider:
         if chosen.effects:
             chosen = self.reweighed(chosen)
         chosen = self.thinned(nominal, chosen, tried)
-        named = {(c.effect, c.location): self.sure.get(str(c), 1.0) for c in chosen.effects}
+        named = self.certain(chosen.effects)
         return SearchResult(
             nominal=nominal,
             chosen=chosen,
             tried=tried,
             confusable=proposed.instead(named),
             several=len({c.effect for c in chosen.effects}) > 1,
-            belief=proposed.belief(named),
+            belief=proposed.belief(named).at_most(self.sure),
         )
 
     def gained(
@@ -198,8 +199,7 @@ class Decider:
             self.asked = frozenset()
             return search
         whole = self.thinned(nominal, whole, tried)
-        lacking = {(c.effect, c.location): self.sure.get(str(c), 1.0) for c in lacked}
-        belief = search.belief and search.belief.beside(lacking)
+        belief = search.belief and search.belief.beside(self.certain(lacked)).at_most(self.sure)
         found = replace(
             search,
             belief=belief,
@@ -212,6 +212,11 @@ class Decider:
             return found
         self.asked = frozenset()
         return search
+
+    def certain(self, effects: Sequence[Candidate]) -> dict[tuple[str, str], float]:
+        """How probable simulations make each of some effects."""
+        places = [(c.effect, c.location) for c in effects]
+        return {place: self.sure.get(place, 1.0) for place in places}
 
     def at_noise(self, h: Hypothesis) -> bool:
         return h.validation.loss <= level(h.validation.count) and h.fit_loss <= level(h.path.count)
@@ -235,7 +240,9 @@ class Decider:
                 tried.append(less)
             if not left or less is not nominal:
                 gained = self.gained(less, chosen, self._joints(c))
-            self.sure[str(c)] = float(1 / (1 + np.exp(-np.clip(gained, -LARGEST, LARGEST))))
+            self.sure[c.effect, c.location] = float(
+                1 / (1 + np.exp(-np.clip(gained, -LARGEST, LARGEST)))
+            )
             if gained < least:
                 chosen = less
         return chosen
