@@ -44,7 +44,9 @@ def goes_the_other_way(decider: Decider, search: SearchResult) -> bool:
     """Whether goals that go the other way explain what a claim has to, beside what was chosen or in
     its place, and are more probable than what was chosen.
     """
-    nominal, chosen = (_ended(decider, h) for h in (search.nominal, search.chosen))
+    found = [search.nominal, search.chosen] if search.chosen.effects else [search.nominal]
+    ended = [_ended(decider, h) for h in found]
+    chosen = ended[-1]
     if not chosen.effects and decider.at_noise(chosen):
         return False
     binding = decider.bench.binding
@@ -54,9 +56,9 @@ def goes_the_other_way(decider: Decider, search: SearchResult) -> bool:
         decider,
         bench=ProblemBuilder(swapped, bench.step, bench.differences, together=bench.together),
     )
-    found = any(_claimed(decider, other, h, chosen) for h in (nominal, chosen))
+    claimed = any(_claimed(decider, other, h, chosen) for h in ended)
     decider.evaluations = other.evaluations
-    return found
+    return claimed
 
 
 def _ended(decider: Decider, h: Hypothesis) -> Hypothesis:

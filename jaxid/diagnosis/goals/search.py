@@ -139,6 +139,7 @@ class Decider:
                 tried.append(self.refit(own, theta, nominal.path))
         good = [h for h in tried if np.isfinite(joint_loss(h)) and self.gained(nominal, h) > 0]
         chosen = max(good, key=lambda h: self.gained(nominal, h), default=nominal)
+        self.told_of_losers(chosen, tried)
         if chosen.effects:
             chosen = self.reweighed(chosen)
         chosen = self.thinned(nominal, chosen, tried)
@@ -221,6 +222,19 @@ class Decider:
     def at_noise(self, h: Hypothesis) -> bool:
         return h.validation.loss <= level(h.validation.count) and h.fit_loss <= level(h.path.count)
 
+    def told_of_losers(self, won: Hypothesis, tried: Sequence[Hypothesis]) -> None:
+        """Effects of sets that lost are as probable as the best of these against the one that won,
+        and no more.
+        """
+        lost: dict[tuple[str, str], float] = {}
+        for h in tried:
+            p = _probability(np.nan_to_num(self.gained(won, h), nan=-LARGEST))
+            for c in h.effects:
+                place = c.effect, c.location
+                lost[place] = max(lost.get(place, 0.0), p)
+        standing = {(c.effect, c.location) for c in won.effects}
+        self.sure |= {place: p for place, p in lost.items() if place not in standing}
+
     def thinned(
         self, nominal: Hypothesis, chosen: Hypothesis, tried: list[Hypothesis]
     ) -> Hypothesis:
@@ -240,9 +254,7 @@ class Decider:
                 tried.append(less)
             if not left or less is not nominal:
                 gained = self.gained(less, chosen, self._joints(c))
-            self.sure[c.effect, c.location] = float(
-                1 / (1 + np.exp(-np.clip(gained, -LARGEST, LARGEST)))
-            )
+            self.sure[c.effect, c.location] = _probability(gained)
             if gained < least:
                 chosen = less
         return chosen
@@ -276,6 +288,11 @@ class Decider:
         directions = RULE.directions
         gained = directions / 2 * np.log1p(missed / (beyond + directions))
         return float(gained + RULE.log_prior - RULE.per_number * len(c.index))
+
+
+def _probability(gained: float) -> float:
+    """That of what raises the log evidence by so much."""
+    return float(1 / (1 + np.exp(-np.clip(gained, -LARGEST, LARGEST))))
 
 
 def _left(h: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
