@@ -589,6 +589,15 @@ def test_channels_for_models():
             channel_map(*arguments)
 
 
+def test_a_plan_of_torques_says_how_to_get_its_currents(tmp_path):
+    plan = tmp_path / "plan.csv"
+    plan.write_text("t,tau,q\n0,0,0\n1,1,0\n")
+    with pytest.raises(UsageError, match="no column 'current_cmd'.*--gain .N m/A., which adds"):
+        Trajectory.read(plan, 1, "current")
+    with pytest.raises(UsageError, match="a velocity command needs one column$"):
+        Trajectory.read(plan, 1, "velocity")
+
+
 TWO_JOINTS = """<mujoco><worldbody>
   <body name="a"><joint name="shoulder" axis="0 1 0"/><geom size="0.1" mass="1"/>
     <body name="b" pos="0 0 1"><joint name="lift" type="{second}" axis="0 1 0"/><geom size="0.1" mass="1"/></body>

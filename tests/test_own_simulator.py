@@ -11,7 +11,11 @@ import pytest
 
 import jaxid
 from jaxid.data.dataset import ModelSpec
+from jaxid.diagnosis.goals.gains import known_loosely, with_room
+from jaxid.diagnosis.goals.hold import goes_the_other_way
 from jaxid.diagnosis.goals.own_run import run_of_file, stepped_changes
+from jaxid.diagnosis.goals.search import Decider
+from jaxid.diagnosis.hypothesis import SearchResult
 from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.run import ProblemBuilders
@@ -192,3 +196,25 @@ def test_a_single_number_is_found_by_the_files_own_steps(robot):
     (path,) = levenberg_marquardt([(problem, problem.z(change.proposal.theta))], 20, 1e-8)
     assert problem.theta(path.z)[change.index[0]] == pytest.approx(1.8, rel=0.01)
     assert 2 * path.cost / path.count < 1.3
+
+
+@pytest.mark.parametrize("frictionloss", [0.5, 1.0])
+def test_goals_go_the_other_way_where_a_claim_is_borne_out(robot, frictionloss):
+    """With a file that is right, and with one that lacks more than the hold could explain."""
+    text = FILE.replace('frictionloss="0.5"', f'frictionloss="{frictionloss}"')
+    u = goals(1.5)
+    fine = np.interp(np.arange(len(u) * EVERY) / EVERY, np.arange(len(u)), u)
+    noise = 1e-4 * np.random.default_rng(6).standard_normal(len(u))
+    said = {
+        "held": recorded(text, u) + noise,
+        "along straight lines": recorded(text, fine, 1)[::EVERY] + noise,
+    }
+    found = {}
+    for way, q in said.items():
+        binding = known_loosely(with_room(bind(robot, dataset(u, q))))
+        decider = Decider(
+            ProblemBuilder(binding, differences=1, together=True), binding.layout.names
+        )
+        nominal = decider.refit((), binding.theta)
+        found[way] = goes_the_other_way(decider, SearchResult(nominal, nominal))
+    assert found == {"held": False, "along straight lines": True}

@@ -151,6 +151,15 @@ def test_every_verdict(tmp_path, verdict):
     assert ("WHERE" in text.diagnosis_text(d)) == (verdict != "none")
 
 
+def test_where_nothing_is_missing_the_numbers_are_said_with_their_deviations():
+    d = sample_diagnosis()
+    d = replace(d, which=replace(d.which, verdict="none", effects=(), confusable_with=()))
+    estimate = d.final.parameters["inertia"]
+    said = text.diagnosis_text(replace(d, final=replace(d.final, stated=())))
+    assert f"NUMBERS   inertia {text.value_with_std(estimate)}" in said
+    assert "NUMBERS" not in text.diagnosis_text(sample_diagnosis())
+
+
 def test_empty_diagnosis(tmp_path):
     """Nothing to draw is no error."""
     d = sample_diagnosis()

@@ -53,8 +53,33 @@ def test_pages_of_every_kind_are_accessible(written, size, tmp_path):
             assert "Content-Security-Policy" in page.read_text(encoding="utf-8")
             browser.shown(page.as_uri())
             found[kind] = browser.violations()
+            browser.evaluate(UNFOLD)
+            found[kind] += browser.violations()
     assert found == dict.fromkeys(written, [])
 
+
+def test_a_page_of_many_joints_is_folded_on_a_screen_and_whole_in_print(written, tmp_path):
+    page = written["robot under goals"].as_uri()
+    height = "document.documentElement.scrollHeight"
+    hidden = """[...document.querySelectorAll("details svg, details td")]
+        .filter(e => !e.checkVisibility({contentVisibilityAuto: true})).length"""
+    with Chromium(tmp_path, DESKTOP) as browser:
+        browser.shown(page)
+        folded = browser.evaluate(height)
+        cards = browser.evaluate("document.querySelector('.cards').getBoundingClientRect().top")
+        assert cards < DESKTOP[1] and browser.evaluate(hidden) > 0
+        browser.ask("Emulation.setEmulatedMedia", media="print")
+        printed = browser.evaluate(height)
+        assert browser.evaluate(hidden) == 0
+        browser.ask("Emulation.setEmulatedMedia", media="screen")
+        browser.evaluate(UNFOLD)
+        opened = browser.evaluate(height)
+    assert folded < 0.7 * opened
+    assert printed > folded
+
+
+#: Opens what is folded on a page.
+UNFOLD = "document.querySelectorAll('details').forEach(d => { d.open = true })"
 
 #: What a phone shows: pictures of a page, their smallest letters, how wide it is, what is cut off.
 READ = """
@@ -75,6 +100,7 @@ def test_letters_of_pictures_can_be_read_on_a_phone(written, tmp_path):
     with Chromium(tmp_path, PHONE) as browser:
         for kind, page in written.items():
             browser.shown(page.as_uri())
+            browser.evaluate(UNFOLD)
             found = browser.evaluate(READ)
             assert found["pictures"] == found["all"], kind
             assert found["least"] >= 9.0, (kind, found)
@@ -99,6 +125,7 @@ def test_letters_of_pictures_do_not_lie_over_one_another(written, tmp_path):
     with Chromium(tmp_path, DESKTOP) as browser:
         for kind, page in written.items():
             browser.shown(page.as_uri())
+            browser.evaluate(UNFOLD)
             found[kind] = browser.evaluate(OVER)
     assert found == dict.fromkeys(written, [])
 

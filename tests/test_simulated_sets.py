@@ -1,12 +1,13 @@
 """Probabilities of sets of effects that were simulated, and what is claimed of them."""
 
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from jaxid.diagnosis.belief import Belief, FreeLaw, joined_beliefs
+from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.hypothesis import Candidate
 from jaxid.diagnosis.result import Which
 from jaxid.diagnosis.selection import most_probable, step_from
@@ -146,3 +147,28 @@ def test_where_something_is_missing_that_nothing_is_has_no_probability():
         which = Which(verdict, (), (), (), belief=belief)
         assert which.to_dict()["none"] == expected
     assert Which("unknown", (), (), ()).to_dict()["none"] is None
+
+
+def test_what_simulations_take_back_is_no_more_probable_than_they_make_it():
+    columns = Belief({("torque_scale", "tau"): 0.98, ("actuator_lag", "tau"): 0.2}, none=0.0)
+    judged = {("torque_scale", "tau"): 0.1, ("actuator_lag", "tau"): 0.9, ("backlash", "q"): 0.5}
+    places = {("torque_scale", "tau"): 0.1, ("actuator_lag", "tau"): 0.2}
+    assert columns.at_most(judged).places == places
+
+
+def test_an_effect_of_sets_that_lost_is_as_probable_as_the_best_of_them(monkeypatch):
+    def gained(_: Decider, before: Any, after: Any) -> float:
+        return after.worth - before.worth
+
+    def found(worth: float, *effects: Candidate) -> Any:
+        return SimpleNamespace(effects=effects, worth=worth)
+
+    monkeypatch.setattr(Decider, "gained", gained)
+    decider = Decider(cast(Any, None), ())
+    won = found(0.0, LAG)
+    decider.told_of_losers(
+        won, [won, found(-9.0, DELAY), found(-2.0, LAG, DELAY), found(np.nan, DRAG)]
+    )
+    assert set(decider.sure) == {("input_delay", "tau"), ("quadratic_drag", "q")}
+    assert decider.sure["input_delay", "tau"] == pytest.approx(1 / (1 + np.exp(2.0)))
+    assert decider.sure["quadratic_drag", "q"] < 1e-9

@@ -4,7 +4,7 @@ or that nothing is; and what each named effect is worth.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import chain
 from typing import Any
@@ -89,6 +89,11 @@ class Belief:
         """With further effects at places, of which each is there with such a probability."""
         sure = product([p for p in (self.probability, *more.values()) if p is not None])
         return replace(self, places=self.places | more, probability=sure, none=0.0)
+
+    def at_most(self, judged: Mapping[tuple[str, str], float]) -> Belief:
+        """Where simulations give effects at places so much and no more."""
+        places = {place: min(p, judged.get(place, p)) for place, p in self.places.items()}
+        return replace(self, places=places)
 
     def of_a_gap(self) -> Belief:
         """Where the verdict is that something is missing. The sets that were compared may hold

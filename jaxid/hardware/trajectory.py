@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -97,11 +97,7 @@ class Trajectory:
             )
             found = next((name for name in names if name in columns), None)
             if found is None:
-                raise UsageError(
-                    f"trajectory {path}: there is no column {names[0]!r} (there is:"
-                    f" {', '.join(columns)}); a {kind} command needs one column for each of"
-                    f" {joints} joints"
-                )
+                raise UsageError(_lacking(path, names[0], columns, kind, joints))
             chosen.append(np.asarray(columns[found], float))
         return cls(t, np.stack(chosen, axis=1), kind, str(path))
 
@@ -242,6 +238,16 @@ def _times(duration: float, step: float) -> np.ndarray:
 
 def _both(limit):
     return (None, None) if limit is None else (tuple(-v for v in limit), limit)
+
+
+def _lacking(path: Path, column: str, columns: Iterable[str], kind: str, joints: int) -> str:
+    """What is said where a trajectory lacks a joint's command."""
+    there = list(columns)
+    said = f"trajectory {path}: there is no column {column!r} (there is: {', '.join(there)})"
+    if kind == "current" and any(name.startswith("tau") for name in there):
+        return f"{said}; design it with --gain (N m/A), which adds the currents of its torques"
+    each = "one column" if joints == 1 else f"one column for each of {joints} joints"
+    return f"{said}; a {kind} command needs {each}"
 
 
 def _columns(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:

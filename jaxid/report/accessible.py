@@ -3,6 +3,7 @@
 The templates say what stands where; this adds what follows from it: an id for every heading, the
 list of them, the scope of every head of a column or row, a caption for every table, which is the
 heading or the sentence that it stands under, and a box in which it scrolls on a narrow screen.
+What is long is folded, so that a page of many joints is seen at a glance; print shows all of it.
 """
 
 from __future__ import annotations
@@ -15,11 +16,27 @@ _HEADING = re.compile(r"<h2>(.*?)</h2>", re.DOTALL)
 _TAG = re.compile(r"<[^>]*>")
 #: Fewer headings than this are seen at a glance.
 FEW = 3
+#: Of the class `folds`, a table of more rows is folded, and of pictures in a row that are more than
+#: these all but the first two.
+ROWS, PICTURES, SHOWN = 10, 3, 2
+_FIGURE = r'<figure class="folds">(?:(?!</figure>).)*</figure>\s*'
+_FIGURES = re.compile(f"(?:{_FIGURE}){{{PICTURES + 1},}}", re.DOTALL)
 
 
 def accessible(body: str) -> str:
-    """A body with scopes and captions."""
-    return "".join(_with_captions(body))
+    """A body with scopes and captions, and long parts folded."""
+    return _FIGURES.sub(_few_shown, "".join(_with_captions(body)))
+
+
+def _few_shown(figures: re.Match[str]) -> str:
+    """The first pictures of a row, the others folded."""
+    every = re.findall(_FIGURE, figures[0], re.DOTALL)
+    more = every[SHOWN:]
+    return "".join(every[:SHOWN]) + _folded(f"{len(more)} more pictures", "".join(more))
+
+
+def _folded(summary: str, content: str) -> str:
+    return f"<details>\n<summary>{summary}</summary>\n{content}\n</details>\n"
 
 
 def with_contents(body: str) -> str:
@@ -64,8 +81,18 @@ def _with_captions(body: str) -> Iterator[str]:
             said = _TAG.sub("", found[-1][1]).strip() if found else said
             yield part
             continue
-        table = _scoped(part if "<caption" in part else _captioned(part, said))
-        yield _scrolling(table)
+        captioned = part if "<caption" in part else _captioned(part, said)
+        table = _scrolling(_scoped(captioned))
+        rows = part.count("<tr>") - part.count("<thead")
+        if rows > ROWS and part.startswith('<table class="folds"'):
+            table = _folded(f"{_name_of(captioned)}: a table of {rows} rows", table)
+        yield table
+
+
+def _name_of(table: str) -> str:
+    """The caption of a table as text."""
+    found = re.search(r"<caption>(.*?)</caption>", table, re.DOTALL)
+    return _TAG.sub("", found[1]).strip() if found else "table"
 
 
 def _captioned(table: str, said: str) -> str:
@@ -74,8 +101,7 @@ def _captioned(table: str, said: str) -> str:
 
 def _scrolling(table: str) -> str:
     """The table in a box that a narrow screen scrolls, also by the keyboard."""
-    found = re.search(r"<caption>(.*?)</caption>", table, re.DOTALL)
-    name = _TAG.sub("", found[1]).strip().replace('"', "&quot;") if found else "table"
+    name = _name_of(table).replace('"', "&quot;")
     return f'<div class="scrolls" role="group" aria-label="{name}" tabindex="0">{table}</div>'
 
 

@@ -307,9 +307,26 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
                 *(channel_sentence(how_far, name, which.verdict) for name in channels),
             ],
         ),
+        paragraph(
+            "NUMBERS", [numbers_sentence(diagnosis.final)] if which.verdict == "none" else []
+        ),
         paragraph("NEXT", [diagnosis.next_experiment]),
     ]
     return "\n".join(filter(None, parts))
+
+
+#: Numbers of a fit that its lines say; the page has all of them.
+NUMBERS = 8
+
+
+def numbers_sentence(fit: Fit) -> str:
+    """What to write into the simulator where no effect is missing and no number was stated."""
+    if fit.stated:
+        return ""
+    known = {name: p for name, p in fit.parameters.items() if p.identifiable and p.std is not None}
+    said = [f"{one_line(name)} {value_with_std(p)}" for name, p in list(known.items())[:NUMBERS]]
+    more = f", and {len(known) - NUMBERS} more on the page" if len(known) > NUMBERS else ""
+    return f"{', '.join(said)}{more}." if said else ""
 
 
 def joint_rows(rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[tuple[str, ...]]]:

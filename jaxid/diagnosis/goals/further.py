@@ -122,17 +122,14 @@ def _borne_out(
     chosen = wider.thinned(nominal, wider.reweighed(best), tried)
     if key_of(chosen.effects) <= key_of(standing):
         return None
-    more = {}
-    for c in chosen.effects:
-        if c not in standing:
-            more[c.effect, c.location] = wider.sure.get(str(c), 1.0)
+    more = wider.certain([c for c in chosen.effects if c not in standing])
     found = SearchResult(
         nominal=nominal,
         chosen=chosen,
         tried=[*search.tried, *tried],
-        confusable=[*search.confusable, *proposed.instead(more)],
+        confusable=list(dict.fromkeys([*search.confusable, *proposed.instead(more)])),
         several=len(_kinds(chosen.effects)) > 1,
-        belief=_believed(search.belief, proposed.belief(more)),
+        belief=_believed(search.belief, proposed.belief(more)).at_most(wider.sure),
     )
     return wider, found
 

@@ -17,6 +17,7 @@ from jaxid.problem.residual import OutputError
 from jaxid.robots.steps import Steps
 from jaxid.robots.tree import Tree
 from jaxid.robots.yardstick import added_by_steps, as_it_stands
+from jaxid.simulation.sample_buffers import columns
 
 
 @dataclass(frozen=True)
@@ -84,24 +85,27 @@ def _steps_of(binding: Binding) -> Steps | None:
 
 def without_steps(binding: Binding) -> Binding:
     """The binding with readings as late as columns that know no steps have them: in the file's
-    steps a command acts early.
+    steps a command that jumps acts early.
     """
     steps = _steps_of(binding)
     if steps is None:
         return binding
+    inputs, _ = columns(binding.dataset, binding.chain)
+    jumps = [binding.dataset.inputs[i].hold == "zero" for i in inputs[: binding.chain.nq]]
+    early = steps.delay * np.array(jumps)
     runs = []
     for e in binding.dataset.experiments:
-        moved = _later(e, steps.delay, binding.motions[e.name].qd[-len(e.t) :])
+        moved = _later(e, early, binding.motions[e.name].qd[-len(e.t) :])
         if e.past is not None:
             before = e.past
             speed = np.gradient(before.y, before.t, axis=0)[:, : binding.chain.nq]
-            moved = replace(moved, past=_later(before, steps.delay, speed))
+            moved = replace(moved, past=_later(before, early, speed))
         runs.append(moved)
     return replace(binding, dataset=replace(binding.dataset, experiments=tuple(runs)))
 
 
-def _later(e: Experiment, by: float, speed: np.ndarray) -> Experiment:
-    """A run whose readings are those of so many seconds before; `speed` [samples n]."""
+def _later(e: Experiment, by: np.ndarray, speed: np.ndarray) -> Experiment:
+    """A run whose readings are those of so many seconds before, [n]; `speed` [samples n]."""
     y = e.y.copy()
     y[:, : speed.shape[1]] -= by * speed
     return replace(e, y=y)

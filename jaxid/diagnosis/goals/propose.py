@@ -9,15 +9,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.belief import Belief, product, Worth
 from jaxid.diagnosis.goals.bodies import shifts_body
 from jaxid.diagnosis.goals.limits import limits_shown
 from jaxid.diagnosis.goals.study import LedStudy
 from jaxid.diagnosis.hypothesis import Candidate, candidates
-from jaxid.diagnosis.probability import log_evidence, RULE
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.diagnosis.torque.algebra import better, BLOCKS, Gram, gram
 from jaxid.diagnosis.torque.answer import of_model
 from jaxid.diagnosis.torque.choose import Chooser, Model
 from jaxid.diagnosis.torque.claims import believed, claims, instead, TorqueClaim
@@ -177,51 +174,6 @@ def _proposal(study: LedStudy, chooser: Chooser, m: Model) -> Proposal:
     return Proposal(
         own, tuple(np.split(m.solution.theta[chooser.size :], ends)) if own else (), theta
     )
-
-
-def with_other_hold(dataset: Dataset) -> Dataset:
-    """The dataset with goals that go the other way from sample to sample: held, or along a line."""
-    other = {"zero": "linear", "linear": "zero"}
-    return replace(
-        dataset,
-        channels=tuple(
-            replace(c, hold=other.get(c.hold, c.hold)) if c.role == "input" else c
-            for c in dataset.channels
-        ),
-    )
-
-
-def goes_the_other_way(stated: LedStudy, other: LedStudy) -> bool:
-    """Whether the re-tuned model follows goals better, in the fit and in the held-out runs, that go
-    from sample to sample in the other way than is stated: a log of a goal says when it was asked,
-    not what the drive made of it in between.
-
-    It has to be seen alike throughout the held-out runs, and with the evidence that a claim needs.
-    A model that lacks much follows neither way, and says nothing of goals.
-    """
-    if not stated.of("validation"):
-        return False
-    white = stated.weights(stated.made(stated.theta, []))
-    by_noise = replace(white, size=stated.noise)
-    evidence, held = [], []
-    for study in (stated, other):
-        rows = study.made(study.theta, [])
-        # Without clocks, which would stand in for half of a sample.
-        at, numbers = study.solved(rows, white)
-        fit, kept = study.some(rows, study.of("fit")), study.some(rows, study.of("validation"))
-        evidence.append([_evidence(gram(*some, by_noise, 1), at, numbers) for some in (fit, kept)])
-        blocks = gram(*kept, white, BLOCKS)
-        held.append(blocks.losses(at, numbers))
-    gained = np.subtract(evidence[1], evidence[0])
-    total, worst = better(held[0], held[1], blocks)
-    throughout = total > LIMITS.three_sigma and worst > 0
-    return bool(throughout and gained.sum() > RULE.log_odds and np.all(gained > 0))
-
-
-def _evidence(g: Gram, at: np.ndarray, numbers: np.ndarray) -> float:
-    """Log evidence of what these numbers of the columns `at` leave."""
-    left = np.array([g.losses(at, numbers).sum()])
-    return float(log_evidence(left, np.array([g.rows]), RULE.directions)[0])
 
 
 def candidates_of(bench: ProblemBuilder, s: Proposal) -> list[Candidate]:

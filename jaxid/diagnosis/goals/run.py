@@ -13,22 +13,11 @@ from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.goals.as_stated import AsStated
 from jaxid.diagnosis.goals.asked import Answer, GoalsQuestion
 from jaxid.diagnosis.goals.further import with_what_is_still_missing
-from jaxid.diagnosis.goals.gains import (
-    asked_for,
-    known_loosely,
-    with_room,
-)
+from jaxid.diagnosis.goals.gains import asked_for, known_loosely, with_room
+from jaxid.diagnosis.goals.hold import goes_the_other_way, said
 from jaxid.diagnosis.goals.law_told import law_told
 from jaxid.diagnosis.goals.own_run import run_of_file, without_steps
-from jaxid.diagnosis.goals.propose import (
-    as_vector,
-    goes_the_other_way,
-    kinds_of,
-    Proposal,
-    proposals,
-    shown,
-    with_other_hold,
-)
+from jaxid.diagnosis.goals.propose import as_vector, kinds_of, Proposal, proposals, shown
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy, loop_step
 from jaxid.diagnosis.hypothesis import Hypothesis, SearchResult
@@ -42,7 +31,7 @@ from jaxid.fitting.fitter import Minimum, Progress
 from jaxid.fitting.least_squares import Path
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.fitting.result import Fit
-from jaxid.problem.binding import bind, Binding
+from jaxid.problem.binding import Binding
 from jaxid.problem.residual import OutputError
 from jaxid.simulation.sample_buffers import STEP, step_count
 
@@ -52,16 +41,10 @@ TOO_DEAR = (
     " that the law asks for along the measured motion is compared instead, and no free run judges"
     " the answer"
 )
-OTHER_WAY = (
-    "the goals go {} from sample to sample here, not {} as the dataset has it: the re-tuned model"
-    " follows them better so on data that were and were not fitted (state hold of the goals'"
-    " channels where that is wrong)"
-)
 SETTLED = (
     "numbers are fitted to the fit and validation runs together, once these have chosen the"
     " effects: errors on validation runs are no longer held out, those on report runs are"
 )
-WORDS = {"zero": "held", "linear": "along straight lines"}
 
 
 #: Steps of all free runs of one linearisation beyond which simulations are not worth their time.
@@ -124,50 +107,59 @@ def diagnose_led(
     effects, search, step)` makes that of a search on simulations in such steps.
     """
     began = time.perf_counter()
-    say = progress or (lambda *_: None)
     binding = with_room(binding)
-    say("along the motion", 0, 3, "rows")
     step = begin_simulations(binding)  # while the rows are made
-    kinds = [k for k in library if shown(k)]
-    study, notes = LedStudy(known_loosely(without_steps(binding)), kinds), []
-    swapped = with_other_hold(dataset)
-    swapped_binding = with_room(bind(model, swapped, without=without))
-    other = LedStudy(known_loosely(without_steps(swapped_binding)), kinds, begin=study.theta)
-    if goes_the_other_way(study, other):
-        hold = dataset.inputs[0].hold
-        notes.append(
-            OTHER_WAY.format(WORDS[other.binding.dataset.inputs[0].hold], WORDS.get(hold, hold))
-        )
-        dataset, study, binding = swapped, other, swapped_binding
-        study.tuned(study.theta)
-    say("along the motion", 1, 3, "noise")
     ask = GoalsQuestion(
         model=model,
         dataset=dataset,
         without=without,
-        kinds=kinds,
+        kinds=[k for k in library if shown(k)],
         max_effects=max_effects,
         step=step,
         answer=answer,
         progress=progress,
     )
-    say("along the motion", 2, 3, f"effects, {len(kinds)} kinds")
-    asked = f"asked along the measured motion: {listed(sorted(names_of(kinds)))}"
+    found, other_way = _diagnosed(ask, binding, seed, began)
+    notes = []
+    if other_way:
+        other = ask.otherwise()
+        found, _ = _diagnosed(other, other.bound(), seed, began, other_way)
+        notes.append(said(dataset))
     left = sorted(k.name for k in library if not shown(k))
     notes.append(
-        f"{asked}; not asked, for they have a motion of their own: {listed(left) or 'none'}"
+        f"asked along the measured motion: {listed(sorted(names_of(ask.kinds)))}; not asked, for"
+        f" they have a motion of their own: {listed(left) or 'none'}"
     )
+    return replace(found, notes=(*found.notes, *notes), wall_time_s=time.perf_counter() - began)
+
+
+def _diagnosed(
+    ask: GoalsQuestion,
+    binding: Binding,
+    seed: int,
+    began: float,
+    other_way: bool | None = None,
+) -> tuple[Diagnosis, bool]:
+    """The diagnosis with goals that go from sample to sample as a dataset has it, and whether they
+    turn out to go the other way, unless that is known.
+    """
+    say = ask.progress or (lambda *_: None)
+    say("along the motion", 0, 2, "rows")
+    study = LedStudy(known_loosely(without_steps(binding)), ask.kinds)
+    say("along the motion", 1, 2, f"effects, {len(ask.kinds)} kinds")
+    notes: list[str] = []
 
     run = run_of_file(bench := ask.made(binding))
     stated = None
-    if run is not None and stands(binding.chain, dataset):
-        stated = AsStated(bench, run, kinds)
+    if run is not None and stands(binding.chain, ask.dataset):
+        stated = AsStated(bench, run, ask.kinds)
     by_itself = stated is not None and stated.stands
     near = binding.theta if by_itself else study.theta
-    road = _Road(binding.layout.names, Proposal((), (), near), seed, began, progress)
+    names, bare = binding.layout.names, Proposal((), (), near)
+    road = _Road(names, bare, seed, began, ask.progress, other_way)
     alone = kinds_of([c.proposal for c in stated.changes]) if stated is not None else []
     if stated is not None:
-        stated.ask(lambda: ask.made(ask.bound(alone)), progress)
+        stated.ask(lambda: ask.made(ask.bound(alone)), ask.progress)
 
     if stated is not None and stated.explains:
         found, more = _as_stated(ask, road, stated, alone)
@@ -179,9 +171,9 @@ def diagnose_led(
     notes += law_told(found.final, binding.chain.signature.joints)
     notes.append(
         f"{found.nominal.evaluations} free runs were simulated under the law, in steps of"
-        f" {step:.2g} s at most"
+        f" {ask.step:.2g} s at most"
     )
-    return replace(found, notes=(*found.notes, *notes), wall_time_s=time.perf_counter() - began)
+    return replace(found, notes=(*found.notes, *notes)), bool(road.other_way)
 
 
 def _as_stated(
@@ -193,12 +185,16 @@ def _as_stated(
         road.bare = Proposal((), (), stated.begin)
     if stated.gains:
         notes.append(asked_for(own, stated.gains))
+
+    def decide(decider: Decider, nominal: Hypothesis) -> tuple[Decider, SearchResult]:
+        found = stated.decided(decider, nominal)
+        road.turns(decider, found)
+        return decider, found
+
     found = ask.answer(
         own,
         names if stated.lacks else (),
-        lambda bench, offer: road(
-            bench, offer, lambda decider, nominal: (decider, stated.decided(decider, nominal))
-        ),
+        lambda bench, offer: road(bench, offer, decide),
         ask.step,
     )
     text = f"{found.which.text} {stated.said()}".strip()
@@ -220,6 +216,8 @@ def _searched(
     def decide(decider: Decider, nominal: Hypothesis) -> tuple[Decider, SearchResult]:
         first = decider.decided(nominal, proposed)
         decider, found = with_what_is_still_missing(ask, decider, first)
+        if road.turns(decider, found):  # another diagnosis takes the place of this one
+            return decider, found
         return decider, decider.with_what_the_file_lacks(found)
 
     return ask.answer(
@@ -243,6 +241,7 @@ class _Road:
     seed: int
     began: float
     progress: Progress | None
+    other_way: bool | None  # whether goals go the other way than stated; None: not asked yet
 
     def __call__(
         self,
@@ -263,6 +262,13 @@ class _Road:
             search=search,
             compile_time=decider.bench.compile_time(),
         )
+
+    def turns(self, decider: Decider, search: SearchResult) -> bool:
+        """Whether goals turn out to go the other way than stated, which is asked once."""
+        if self.other_way is not None:
+            return False
+        self.other_way = goes_the_other_way(decider, search)
+        return self.other_way
 
     def _fitted(self, decider: Decider, path: Path) -> Fit:
         """A descent on the bench of a decider as a fit."""

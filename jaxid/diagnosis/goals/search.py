@@ -44,7 +44,8 @@ class Decider:
     lead: list[Hypothesis] = field(
         default_factory=list
     )  # what explained most so far, for the line of progress
-    sure: dict[str, float] = field(default_factory=dict)  # of effects that simulations asked
+    #: (effect, place) -> probability by the last simulation that asked whether it is missed.
+    sure: dict[tuple[str, str], float] = field(default_factory=dict)
     asked: frozenset[int] = frozenset()  # numbers of the model that are asked for as effects
 
     def refit(
@@ -138,17 +139,18 @@ class Decider:
                 tried.append(self.refit(own, theta, nominal.path))
         good = [h for h in tried if np.isfinite(joint_loss(h)) and self.gained(nominal, h) > 0]
         chosen = max(good, key=lambda h: self.gained(nominal, h), default=nominal)
+        self.told_of_losers(chosen, tried)
         if chosen.effects:
             chosen = self.reweighed(chosen)
         chosen = self.thinned(nominal, chosen, tried)
-        named = {(c.effect, c.location): self.sure.get(str(c), 1.0) for c in chosen.effects}
+        named = self.certain(chosen.effects)
         return SearchResult(
             nominal=nominal,
             chosen=chosen,
             tried=tried,
             confusable=proposed.instead(named),
             several=len({c.effect for c in chosen.effects}) > 1,
-            belief=proposed.belief(named),
+            belief=proposed.belief(named).at_most(self.sure),
         )
 
     def gained(
@@ -198,8 +200,7 @@ class Decider:
             self.asked = frozenset()
             return search
         whole = self.thinned(nominal, whole, tried)
-        lacking = {(c.effect, c.location): self.sure.get(str(c), 1.0) for c in lacked}
-        belief = search.belief and search.belief.beside(lacking)
+        belief = search.belief and search.belief.beside(self.certain(lacked)).at_most(self.sure)
         found = replace(
             search,
             belief=belief,
@@ -213,8 +214,26 @@ class Decider:
         self.asked = frozenset()
         return search
 
+    def certain(self, effects: Sequence[Candidate]) -> dict[tuple[str, str], float]:
+        """How probable simulations make each of some effects."""
+        places = [(c.effect, c.location) for c in effects]
+        return {place: self.sure.get(place, 1.0) for place in places}
+
     def at_noise(self, h: Hypothesis) -> bool:
         return h.validation.loss <= level(h.validation.count) and h.fit_loss <= level(h.path.count)
+
+    def told_of_losers(self, won: Hypothesis, tried: Sequence[Hypothesis]) -> None:
+        """Effects of sets that lost are as probable as the best of these against the one that won,
+        and no more.
+        """
+        lost: dict[tuple[str, str], float] = {}
+        for h in tried:
+            p = _probability(np.nan_to_num(self.gained(won, h), nan=-LARGEST))
+            for c in h.effects:
+                place = c.effect, c.location
+                lost[place] = max(lost.get(place, 0.0), p)
+        standing = {(c.effect, c.location) for c in won.effects}
+        self.sure |= {place: p for place, p in lost.items() if place not in standing}
 
     def thinned(
         self, nominal: Hypothesis, chosen: Hypothesis, tried: list[Hypothesis]
@@ -235,7 +254,7 @@ class Decider:
                 tried.append(less)
             if not left or less is not nominal:
                 gained = self.gained(less, chosen, self._joints(c))
-            self.sure[str(c)] = float(1 / (1 + np.exp(-np.clip(gained, -LARGEST, LARGEST))))
+            self.sure[c.effect, c.location] = _probability(gained)
             if gained < least:
                 chosen = less
         return chosen
@@ -269,6 +288,11 @@ class Decider:
         directions = RULE.directions
         gained = directions / 2 * np.log1p(missed / (beyond + directions))
         return float(gained + RULE.log_prior - RULE.per_number * len(c.index))
+
+
+def _probability(gained: float) -> float:
+    """That of what raises the log evidence by so much."""
+    return float(1 / (1 + np.exp(-np.clip(gained, -LARGEST, LARGEST))))
 
 
 def _left(h: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
