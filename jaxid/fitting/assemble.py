@@ -144,7 +144,9 @@ def assemble(
             windowed={},
             notes=tuple(notes),
         )
-    cov = known or getattr(result, "covariance", None) or covariance(problem, result.z)
+    cov = known or getattr(result, "covariance", None)
+    if cov is None or binding.inflation > 1:
+        cov = covariance(problem, result.z, binding.inflation)
     cov = _with_steps(bench, problem, residual, result.z, cov)
     found = estimates(binding, problem, result.z, cov)
     own, added = named_estimates(binding, found)

@@ -55,8 +55,10 @@ class CovarianceEstimate:
     by_data: np.ndarray | None = None  # the matrix without priors
 
 
-def covariance(problem: FitProblem, z: np.ndarray) -> CovarianceEstimate:
-    """Covariance of z at a minimum (search scale)."""
+def covariance(problem: FitProblem, z: np.ndarray, inflation: float = 1.0) -> CovarianceEstimate:
+    """Covariance of z at a minimum (search scale). Variances of priors were made smaller by
+    `inflation`, to count beside residuals that are as much larger than their noise.
+    """
     n = problem.size
     span = problem.upper - problem.lower
     near = 1e-9 * np.maximum(
@@ -113,9 +115,12 @@ def covariance(problem: FitProblem, z: np.ndarray) -> CovarianceEstimate:
         noise = tuple(autoregressions(parts, _held(scaled, scale, inside)))
         widened = student(parts, noise, int(inside.sum()))
 
-    def spread_of(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    bounds = np.diag(_known_by_bounds(problem, z))
+
+    def spread_of(prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Covariance of z with so much known beforehand, and the inverse curvature."""
-        inverse = _inverse(H_data + known)
+        inverse = _inverse(H_data + prior + bounds)
+        known = inflation * prior + bounds
         least = inverse @ (max(s2, 1.0) * H_data + known) @ inverse
         if white:
             return positive(least), inverse
@@ -125,8 +130,7 @@ def covariance(problem: FitProblem, z: np.ndarray) -> CovarianceEstimate:
         floor = np.maximum(np.diag(slow), np.diag(least))
         return positive(no_narrower(spread, floor)), inverse
 
-    bounds = np.diag(_known_by_bounds(problem, z))
-    spread, inverse = spread_of(prior + bounds)
+    spread, inverse = spread_of(prior)
     alone = np.where(
         inside, np.diag(_beside_bounds(spread, at_bound & ~blind & ~inside)), np.diag(spread)
     )
@@ -137,7 +141,7 @@ def covariance(problem: FitProblem, z: np.ndarray) -> CovarianceEstimate:
     matrix = one_sided(problem, z, spread, np.diag(inverse), slope, at)
     by_data = matrix
     if prior.any():
-        own, inverse = spread_of(bounds)
+        own, inverse = spread_of(np.zeros_like(prior))
         by_data = one_sided(problem, z, own, np.diag(inverse), slope, at)
     std = np.sqrt(np.diag(matrix))
     std[~identifiable] = np.nan
