@@ -124,9 +124,6 @@ def test_a_lag_of_a_drive_is_no_shift_of_rows():
     assert checked("rig3_05_propeller_square_and_lag").findings == ()
 
 
-@pytest.mark.xfail(
-    strict=True, reason="of a lag of the drive and one of the sensor the wrong one is chosen"
-)
 @pytest.mark.slow
 def test_a_propeller_has_neither_a_filter_in_its_sensor_nor_cogging():
     folder = case("rig3_05_propeller_square_and_lag")
