@@ -36,8 +36,8 @@ class ProblemBuilder:
 
     `defects` (residual, split) -> what finer steps would add to the simulation, at the samples
     [samples columns]: taken off the targets of its problems, so that a search on coarse steps ends
-    where one on fine steps would. `together`: one program of all effects runs every lane. `finer`: the model's own simulator
-    takes so many steps in place of one.
+    where one on fine steps would. `together`: one program of all effects runs every lane. `finer`:
+    the model's own simulator takes so many steps in place of one.
     """
 
     binding: Binding

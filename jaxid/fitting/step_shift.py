@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import lsq_linear
 
 from jaxid.fitting.covariance import CovarianceEstimate, widened_by
 from jaxid.fitting.problem_builder import ProblemBuilder
@@ -37,6 +36,8 @@ def with_steps(
     the data tell in their own way, so directions count one by one. As it is where no steps of a
     file are simulated.
     """
+    from scipy.optimize import lsq_linear  # its import sets filters of warnings
+
     split = bench.split_of(problem.runs)
     if bench.binding.chain.mechanism.own_step is None or not residual.free_run or split is None:
         return known
