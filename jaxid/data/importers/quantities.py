@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from jaxid.data.units import conversion, UnitError
@@ -153,7 +154,7 @@ def _accent(letter: str) -> bool:
     return "\u0300" <= letter <= "\u036f"
 
 
-def _begins(word: str, stems: list[str]) -> bool:
+def _begins(word: str, stems: Sequence[str]) -> bool:
     """Whether a word begins with a stem; a sign of several meanings stands anywhere in it."""
     return any(stem in word if stem > "\u2e80" else word.startswith(stem) for stem in stems)
 
