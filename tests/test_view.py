@@ -252,6 +252,13 @@ def test_results_lie_over_each_other_in_a_browser(site, tmp_path):
     assert same == other == bad
 
 
+def heeding_interrupts() -> None:
+    """In a process to be: tests that run in the background of a shell pass on that SIGINT is
+    ignored.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     "words",
@@ -264,7 +271,11 @@ def test_the_commands_open_their_page_and_end_by_ctrl_c(words, recorded, tmp_pat
     opener.chmod(0o755)
     environment = {**os.environ, "BROWSER": f"{opener} %s"}
     served_by = subprocess.Popen(
-        [sys.executable, "-m", *words], cwd=recorded, env=environment, stdout=subprocess.PIPE
+        [sys.executable, "-m", *words],
+        cwd=recorded,
+        env=environment,
+        stdout=subprocess.PIPE,
+        preexec_fn=heeding_interrupts,
     )
     try:
         until = time.monotonic() + 240
@@ -424,7 +435,13 @@ def test_record_watch_opens_the_page_of_its_own_recording(tmp_path):
     words = [sys.executable, "-m", "jaxid", "record", "dynamixel", "--port", emulator.address]
     words += ["--id", "1", "--rate", "100", "--seconds", "300", "--out", str(out), "--watch"]
     environment = {**os.environ, "BROWSER": f"{opener} %s"}
-    recording = subprocess.Popen(words, env=environment, stderr=subprocess.PIPE, text=True)
+    recording = subprocess.Popen(
+        words,
+        env=environment,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=heeding_interrupts,
+    )
     try:
         until = time.monotonic() + 240
         while not told.is_file() or not told.read_text():
