@@ -22,8 +22,8 @@ GUARD_SAMPLES, GUARD_S = 20, 0.1
 LATE = 1e4
 #: What a part knows of the samples before it, by time (s) and at most this many: an effect that
 #: remembers starts from them. Validation runs are simulated for every hypothesis, report runs for a
-#: few.
-PAST = {"validation": (5.0, 1000), "report": (60.0, 20_000)}
+#: few. Fit runs have a past where they are what lies behind a contact.
+PAST = {"fit": (5.0, 1000), "validation": (5.0, 1000), "report": (60.0, 20_000)}
 
 
 def with_splits(dataset: Dataset) -> Dataset:
@@ -81,7 +81,7 @@ def _forgetful(run: Experiment) -> Experiment:
     past = run.past
     if past is None:
         return run
-    longest, most = PAST.get(run.split, PAST["validation"])
+    longest, most = PAST[run.split]
     n = min(int(np.sum(past.t >= run.t[0] - longest)), most)
     if n == len(past):
         return run

@@ -145,7 +145,7 @@ def assemble(
             notes=tuple(notes),
         )
     cov = known or getattr(result, "covariance", None)
-    if cov is None or binding.inflation > 1:
+    if cov is None or binding.inflation > 1:  # a search takes strengthened priors at their word
         cov = covariance(problem, result.z, binding.inflation)
     cov = _with_steps(bench, problem, residual, result.z, cov)
     found = estimates(binding, problem, result.z, cov)

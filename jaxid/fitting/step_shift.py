@@ -33,13 +33,13 @@ def with_steps(
 ) -> CovarianceEstimate:
     """The covariance of z with what the file's steps do to it, by a step of Gauss and Newton
     towards the runs that finer steps extrapolate to. Steps of another kind move each direction that
-    the data tell in their own way, so directions count one by one. As it is where no steps of a
-    file are simulated.
+    the data tell in their own way, so directions count one by one. As it is where free runs are not
+    what was fitted.
     """
     from scipy.optimize import lsq_linear  # its import sets filters of warnings
 
     split = bench.split_of(problem.runs)
-    if bench.binding.chain.mechanism.own_step is None or not residual.free_run or split is None:
+    if split is None or not residual.free_run:
         return known
     finer = replace(bench, finer=HALF, defects={}).runs(residual, split)
     slope = _slope(problem, z, HALF * defects(problem, z, finer))

@@ -129,7 +129,7 @@ def _shapes(text: str, file: str) -> Any:
 
 def _positions(run: Experiment, dataset: Dataset, tree: Tree) -> dict[str, np.ndarray]:
     """Joint of the file -> its position along a run [samples], or the one where it is held [1]."""
-    measured = {name: run.y[:, k] for k, name in enumerate(dataset.output_names)}
+    measured = dict(zip(dataset.output_names, run.motion().T, strict=True))
     found = {joint: np.full(1, place) for joint, place in tree.held.items()}
     for joint in tree.leading:
         if joint in measured:

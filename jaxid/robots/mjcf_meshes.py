@@ -17,7 +17,7 @@ import numpy as np
 from jaxid.base.errors import UsageError
 from jaxid.robots.mjcf_spec import (
     compiled,
-    DROPPED,
+    drop_all,
     first_of,
     from_meshes,
     heavy,
@@ -78,12 +78,9 @@ def _keep_only(spec: Any, names: Sequence[str]) -> None:
         if body.name not in names:  # its inertia is of no matter here
             body.mass, body.inertia, body.explicitinertial = 1.0, np.ones(3), True
     without_tendons(library(), spec)
-    dropped = [*spec.actuators, *spec.equalities, *spec.keys]
-    for kind in DROPPED:
-        dropped += getattr(spec, kind)
-    for one in dropped:
-        if one not in kept:
-            spec.delete(one)
+    for one in [*spec.actuators, *spec.equalities, *spec.keys]:
+        spec.delete(one)
+    drop_all(spec, {"geoms": kept, "meshes": kept})
     compiler = spec.compiler
     compiler.settotalmass = -1.0
     compiler.balanceinertia = compiler.fusestatic = compiler.discardvisual = False

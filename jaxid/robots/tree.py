@@ -399,7 +399,8 @@ class StaticTree:
 
     def __init__(self, tree: Tree):
         self.tree = tree
-        own = [v for k, v in vars(tree).items() if k != "steps"]  # which are of another simulator
+        # Steps are of another simulator, and the text holds what is drawn and touched as well.
+        own = [v for k, v in vars(tree).items() if k not in ("steps", "text")]
         parts = []
         for v in own:
             parts.append(v.tobytes().hex() if isinstance(v, np.ndarray) else repr(v))

@@ -44,6 +44,7 @@ _STEMS = {
     "current": "couran corrient corrente stroom ток 电流 電流 전류",
     "voltage": "voltag spanning напряжен 电压 電圧 전압",
 }
+_BEGINNINGS = {quantity: stems.split() for quantity, stems in _STEMS.items()}
 _ACTUAL = set("act actual meas measured ist istwert state feedback fb present obs".split())
 _ERROR = set(
     "err error errors deviation following fehler schleppfehler abweichung regelabweichung".split()
@@ -140,7 +141,7 @@ def _foreign(word: str) -> list[str]:
     """What a word of another language says, in words that are known here."""
     plain = _without_accents(word)
     found = ["goal"] if _begins(plain, _GOAL_STEMS) else []
-    found += [quantity for quantity, stems in _STEMS.items() if _begins(plain, stems.split())]
+    found += [quantity for quantity, stems in _BEGINNINGS.items() if _begins(plain, stems)]
     return found
 
 
