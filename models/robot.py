@@ -27,6 +27,7 @@ from jaxid.robots.channels import GRAVITY, PLACE, RIDE, signature_of, torque
 from jaxid.robots.coupled import carried, Coupled, coupled, gathered
 from jaxid.robots.file_step import FIELDS as SOFT
 from jaxid.robots.floating import balanced, based, without_slides
+from jaxid.robots.ground import Ground, pose_of
 from jaxid.robots.tree import chain_of_rods, roll_pitch_yaw, StaticTree, Tree, up_to
 from jaxid.robots.yielding import Yielding
 
@@ -191,9 +192,10 @@ class Robot(Yielding):
         law: Any = None,
         rides: bool = False,
         simulator: str = "own",
+        ground: Ground | None = None,
     ):
         """`simulator` "mujoco": steps are those that the tree's file asks MuJoCo for, where they
-        are known and the base does not float.
+        are known and the base does not float. `ground`: what touches planes in such steps.
         """
         tree = chain_of_rods(2, 0.3, 0.5) if tree is None else tree  # slender links in a plane
         leading = tree.leading
@@ -233,7 +235,10 @@ class Robot(Yielding):
         soft = dict.fromkeys(SOFT, np.float64(0.0)) if step is None else step.of(leading)
         for name, value in (numbers | soft).items():
             setattr(self, name, value)
+        self.ground = ground if self.integrator else None
+        self.sliding_friction = np.array(self.ground.friction if self.ground else (), np.float64)
         self.prepared = self.yielding = self.added = self.tilt = self.drive_law = None
+        self.weight = None
         self.fitted = ()
         if driven is None:
             driven = law is not None or all(
@@ -275,7 +280,9 @@ class Robot(Yielding):
     def driven_by(self, law: Any) -> Robot:
         """The same driven by goals through a law (a `jaxid.robots.drives.DriveLaw`)."""
         simulator = "mujoco" if self.integrator else "own"
-        return type(self)(self.tree.tree, law=law, rides=self.rides, simulator=simulator)
+        return type(self)(
+            self.tree.tree, law=law, rides=self.rides, simulator=simulator, ground=self.ground
+        )
 
     def stepped(self, simulator: str) -> Robot:
         """The same by jaxid's own steps ("own"), or by those of its file ("mujoco")."""
@@ -344,6 +351,7 @@ class Robot(Yielding):
             "signatures": (signature,),
             "drive_law": law,
             "fitted": (),
+            "ground": None if self.ground is None else self.ground.nameless,
         }
         out = object.__new__(type(self))  # static fields cannot be replaced otherwise
         for f in dataclasses.fields(self):
@@ -383,6 +391,8 @@ class Robot(Yielding):
             return GRAVITY[place]
         if field in BODY:
             return f"{field}@{self.links[place]}"
+        if field == "sliding_friction" and self.ground is not None:
+            return f"{field}@{self.ground.shapes[place]}"
         of_leading = field in ("encoder_bias", "cubic_damping", *SOFT)
         names = self.signatures[0].joints if of_leading else self.joints
         return f"{field}@{names[place]}"
@@ -444,7 +454,15 @@ class Robot(Yielding):
             return ready
         places = np.array([self.joints.index(joint) for joint in self.signatures[0].joints])
         resting = np.array(self.reference)[places] + self.encoder_bias
-        return ready._with("yielding", ready.soft_joints(resting))
+        ready = ready._with("yielding", ready.soft_joints(resting))
+        return ready._with("weight", ready.weight_at(resting)) if self.ground else ready
+
+    def tree_pose(self, q):
+        own = self.coupling.positions(q - self.encoder_bias) - np.array(self.reference)
+        plan = plan_of(self.parent)
+        body, _ = self._worked_out()
+        poses = dynamics.poses(plan, dynamics.frames(plan, body, own))
+        return pose_of(poses, np.array(self.axes).reshape(-1, 3), self.slides, self.parent)
 
     def _worked_out(self) -> tuple[dynamics.Body, Base]:
         return (self.body(), self.standing()) if self.prepared is None else self.prepared

@@ -65,7 +65,7 @@ class _Forces(NamedTuple):
 
 def advance(chain: Chain, body: Any, carry: Carry, command: Command) -> tuple[Carry, Vector]:
     """State after a step of length command.h, and the net joint torque in it; `body` is a mechanism
-    that has an `integrator` and `soft_joints`.
+    that has an `integrator`, `soft_joints` and `edges`.
     """
     x, z, _, before, net = carry
     q, v = body.port(x)
@@ -98,7 +98,8 @@ def _forces(chain: Chain, body: Any, s: Signals, z: tuple, guess: Vector) -> _Fo
     smooth, minus, plus, _ = chain.friction(s._replace(load=drive), z)
     soft: SoftJoints = body.soft_joints()
     rows = rows_of(s.q, s.qd, minus, plus, soft.slip, soft.stops, soft.weight)
-    acceleration, opposed = constrained(M, drive - smooth - bias, rows, guess)
+    edges = body.edges(s.q, s.qd)
+    acceleration, opposed = constrained(M, drive - smooth - bias, rows, guess, edges)
     return _Forces(M, acceleration, opposed, dot(M, acceleration) + bias)
 
 

@@ -57,19 +57,24 @@ class ChainForm:
     @property
     def bare(self) -> Chain:
         """The chain with all numbers 0."""
-        return self.model(np.zeros(sum(width or 1 for _, _, width in self._leaves)))
+        return self.model(np.zeros(sum(_size(width) for _, _, width in self._leaves)))
 
     def model(self, theta: Any) -> Chain:
         """The chain with these numbers (works on tracers, and on numbers one by one)."""
         return _with_numbers(self.chain, self._leaves, theta)
 
 
-def _leaves(chain: Chain) -> list[tuple[int, str, int]]:
-    """Owner, field and how many numbers each field of a chain has; 0 is one that is no array."""
-    leaves: list[tuple[int, str, int]] = []
+def _size(width: int | None) -> int:
+    """How many numbers a field of this width has."""
+    return 1 if width is None else width
+
+
+def _leaves(chain: Chain) -> list[tuple[int, str, int | None]]:
+    """Owner, field and how many numbers each field of a chain has; None is one that is no array."""
+    leaves: list[tuple[int, str, int | None]] = []
     for name in specs(chain.mechanism):
         shape = np.shape(getattr(chain.mechanism, name))
-        leaves.append((-1, name, shape[0] if shape else 0))
+        leaves.append((-1, name, shape[0] if shape else None))
     places = chain.places  # equinox makes a module of each method that is looked up
     for i, effect in enumerate(chain.effects):
         count = len(places(effect))
@@ -77,16 +82,18 @@ def _leaves(chain: Chain) -> list[tuple[int, str, int]]:
     return leaves
 
 
-def _with_numbers(chain: Chain, leaves: Sequence[tuple[int, str, int]], theta: Any) -> Chain:
+def _with_numbers(
+    chain: Chain, leaves: Sequence[tuple[int, str, int | None]], theta: Any
+) -> Chain:
     values: list[Any] = []
     position = 0
     for _, _, width in leaves:
-        own = theta[position : position + (width or 1)]
+        own = theta[position : position + _size(width)]
         position += len(own)
-        if not width:
+        if width is None:
             own = own[0]
         elif isinstance(own, list):
-            own = jnp.stack(own)
+            own = jnp.stack(own) if own else jnp.zeros(0)
         values.append(own)
 
     def replaced(chain: Chain) -> list[Any]:

@@ -1,10 +1,11 @@
-"""Dry friction and stops of joints as MuJoCo has them: soft constraints on the acceleration.
+"""Dry friction, stops and contacts as MuJoCo has them: soft constraints on the acceleration.
 
 A row of a joint wants the acceleration `target` and gives way by its `compliance` R (rad/s^2 per
 N m). Dry friction opposes what exceeds its target, (a - target) / R, up to its level; a stop pushes
-away from itself alone. The accelerations a of all joints solve
+away from itself alone, and so does each edge of the pyramid that stands for the friction cone of a
+contact, along its own row J of all joints. The accelerations a of all joints solve
 
-    M a = force - friction(a) + stops(a),
+    M a = force - friction(a) + stops(a) + J' contacts(J a),
 
 whose right side falls with a: the minimum of a convex function that is quadratic piece by piece.
 Newton's method with an exact search along each direction finds it in a few steps, to rounding. The
@@ -78,15 +79,28 @@ class Constraints(NamedTuple):
     stop_compliance: Any
 
 
+class Edges(NamedTuple):
+    """Edges of the pyramids of m contacts: `rows` [m n] of a force of 1 along each, which pushes
+    where its acceleration is less than `target` [m], and gives way by `compliance` [m]. A row of
+    zeros with a target below 0 is an edge of nothing that touches.
+    """
+
+    rows: Any
+    target: Any
+    compliance: Any
+
+
 class _Piece(NamedTuple):
     """Which quadratic an acceleration lies in, [n] each: whether friction holds, slides forwards or
-    backwards, and whether the stop pushes.
+    backwards, and whether the stop pushes; [m] whether an edge of a contact does, which is () where
+    nothing can touch.
     """
 
     holds: Array
     forwards: Array
     backwards: Array
     pushes: Array
+    touches: Any = ()
 
 
 def rows_of(
@@ -125,9 +139,9 @@ def _stop(q: Vector, qd: Vector, stops: Stops, weight: Vector) -> tuple[Vector, 
     distance = side * (q - jnp.where(lower_is_nearer, stops.lower, stops.upper))
     beyond = distance - stops.margin
     reached = beyond < 0
-    impedance = _impedance(beyond, stops)
-    target = -stops.rate * side * qd - stops.stiffness * impedance * beyond
-    compliance = jnp.maximum((1 - impedance) / impedance * weight, HARDEST)
+    share = impedance(beyond, stops)
+    target = -stops.rate * side * qd - stops.stiffness * share * beyond
+    compliance = jnp.maximum((1 - share) / share * weight, HARDEST)
     return (
         jnp.where(reached, side, 0.0),
         jnp.where(reached, target, 0.0),
@@ -135,8 +149,10 @@ def _stop(q: Vector, qd: Vector, stops: Stops, weight: Vector) -> tuple[Vector, 
     )
 
 
-def _impedance(beyond: Vector, stops: Stops) -> Vector:
-    """How much of an ideal stop one is that is reached so far."""
+def impedance(beyond: Vector, stops: Any) -> Vector:
+    """How much of an ideal stop (or contact) one is that is reached so far; `stops` has what
+    `Stops` says of its impedance.
+    """
     flat = (stops.softest == stops.hardest) | (stops.width <= HARDEST)
     x = jnp.clip(jnp.abs(beyond) / jnp.where(flat, 1.0, stops.width), 0.0, 1.0)
     m, p = stops.midpoint, stops.power
@@ -147,19 +163,25 @@ def _impedance(beyond: Vector, stops: Stops) -> Vector:
 
 
 def constrained(
-    M: Float[Array, "n n"], force: Vector, rows: Constraints, guess: Vector
+    M: Float[Array, "n n"],
+    force: Vector,
+    rows: Constraints,
+    guess: Vector,
+    edges: Edges | None = None,
 ) -> tuple[Vector, Vector]:
     """Accelerations [n] of joints with the inertia M under a force, and the force that dry friction
     opposes to it; `guess` is where the search begins, and changes nothing in what it finds.
     """
-    found = _search(*jax.lax.stop_gradient((M, force, rows, guess)))
-    piece = _piece(rows, found)
-    acceleration = _solved(M, force, rows, piece)
+    found = _search(*jax.lax.stop_gradient((M, force, rows, guess, edges)))
+    piece = _piece(rows, found, edges)
+    acceleration = _solved(M, force, rows, piece, edges)
     opposed = jnp.clip((acceleration - rows.target) / rows.compliance, -rows.minus, rows.plus)
     return acceleration, opposed
 
 
-def _search(M: Array, force: Vector, rows: Constraints, guess: Vector) -> Vector:
+def _search(
+    M: Array, force: Vector, rows: Constraints, guess: Vector, edges: Edges | None
+) -> Vector:
     """An acceleration in the piece of the solution."""
 
     def unsettled(carry):
@@ -168,54 +190,69 @@ def _search(M: Array, force: Vector, rows: Constraints, guess: Vector) -> Vector
 
     def again(carry):
         count, a, _ = carry
-        piece = _piece(rows, a)
-        b = _solved(M, force, rows, piece)
-        there = _piece(rows, b)
-        stays = jnp.all(jnp.stack([jnp.all(x == y) for x, y in zip(piece, there, strict=True)]))
-        step = (b - a) * jnp.where(stays, 1.0, _best(M, force, rows, a, b - a))
+        piece = _piece(rows, a, edges)
+        b = _solved(M, force, rows, piece, edges)
+        there = _piece(rows, b, edges)
+        pairs = zip(jax.tree.leaves(piece), jax.tree.leaves(there), strict=True)
+        stays = jnp.all(jnp.stack([jnp.all(x == y) for x, y in pairs]))
+        best = _best(M, force, rows, a, b - a, edges)
+        step = (b - a) * jnp.where(stays, 1.0, best)
         small = jnp.max(jnp.abs(step)) <= ROUNDING * jnp.max(jnp.abs(a))
         return count + 1, a + step, stays | small
 
     return jax.lax.while_loop(unsettled, again, (0, guess, jnp.zeros((), bool)))[1]
 
 
-def _piece(rows: Constraints, a: Vector) -> _Piece:
+def _piece(rows: Constraints, a: Vector, edges: Edges | None) -> _Piece:
     slack = jax.lax.stop_gradient((a - rows.target) / rows.compliance)
     pushes = (rows.side != 0) & (rows.side * a < rows.stop_target)
     forwards, backwards = slack >= rows.plus, slack <= -rows.minus
-    return _Piece(~(forwards | backwards), forwards, backwards & ~forwards, pushes)
+    touches = () if edges is None else dot(edges.rows, a) < edges.target
+    return _Piece(~(forwards | backwards), forwards, backwards & ~forwards, pushes, touches)
 
 
-def _solved(M: Array, force: Vector, rows: Constraints, piece: _Piece) -> Vector:
+def _solved(
+    M: Array, force: Vector, rows: Constraints, piece: _Piece, edges: Edges | None
+) -> Vector:
     """Where the quadratic of a piece is least."""
     held = jnp.where(piece.holds, 1 / rows.compliance, 0.0)
     pushed = jnp.where(piece.pushes, 1 / rows.stop_compliance, 0.0)
     total = force + held * rows.target + pushed * rows.side * rows.stop_target
     total = total - jnp.where(piece.forwards, rows.plus, 0.0)
     total = total + jnp.where(piece.backwards, rows.minus, 0.0)
-    return dot(inverse(M + jnp.diag(held + pushed)), total)
+    curvature = M + jnp.diag(held + pushed)
+    if edges is not None:
+        hard = jnp.where(piece.touches, 1 / edges.compliance, 0.0)
+        total = total + dot(edges.rows.T, hard * edges.target)
+        curvature = curvature + dot(edges.rows.T * hard, edges.rows)
+    return dot(inverse(curvature), total)
 
 
-def _best(M: Array, force: Vector, rows: Constraints, a: Vector, d: Vector) -> Array:
+def _best(
+    M: Array, force: Vector, rows: Constraints, a: Vector, d: Vector, edges: Edges | None
+) -> Array:
     """How many times d leads from a to the least value along it. The slope is linear between the
-    places where a joint goes over into another piece.
+    places where a joint or an edge goes over into another piece.
     """
     along, slope = dot(M, a) - force, dot(M, d)
-    moving = jnp.where(d == 0, 1.0, d)
-    places = jnp.stack(
-        [
-            (rows.target + rows.plus * rows.compliance - a) / moving,
-            (rows.target - rows.minus * rows.compliance - a) / moving,
-            (rows.side * rows.stop_target - a) / moving,
-        ]
-    )
-    places = jnp.where((d != 0) & (places > 0), places, 0.0).reshape(-1)
-    places = jnp.append(places, jnp.array([0.0, 1.0]))
+    parts = [
+        _crossing(rows.target + rows.plus * rows.compliance - a, d),
+        _crossing(rows.target - rows.minus * rows.compliance - a, d),
+        _crossing(rows.side * rows.stop_target - a, d),
+        jnp.array([0.0, 1.0]),
+    ]
+    if edges is not None:
+        lifted, rising = dot(edges.rows, a), dot(edges.rows, d)
+        parts.append(_crossing(edges.target - lifted, rising))
+    places = jnp.concatenate(parts)
     there = a + places[:, None] * d
     opposed = jnp.clip((there - rows.target) / rows.compliance, -rows.minus, rows.plus)
     pushing = jnp.maximum(rows.stop_target - rows.side * there, 0.0) / rows.stop_compliance
     forces = along + places[:, None] * slope + opposed - rows.side * pushing
     slopes = jnp.sum(d * forces, -1)
+    if edges is not None:
+        short = edges.target - lifted - places[:, None] * rising
+        slopes = slopes - jnp.sum(rising * jnp.maximum(short, 0.0) / edges.compliance, -1)
     low = jnp.max(jnp.where(slopes <= 0, places, 0.0))
     high = jnp.min(jnp.where(slopes > 0, places, jnp.inf))
     at_low = jnp.max(jnp.where((places == low) & (slopes <= 0), slopes, -jnp.inf))
@@ -224,3 +261,9 @@ def _best(M: Array, force: Vector, rows: Constraints, a: Vector, d: Vector) -> A
     share = -at_low / jnp.where(bounded, at_high - at_low, 1.0)
     within = low + share * (jnp.where(bounded, high, low) - low)
     return jnp.where(bounded, within, jnp.maximum(low, 1.0))
+
+
+def _crossing(distance: Array, rate: Array) -> Array:
+    """Where a distance is gone at a rate, 0 where it never is."""
+    found = distance / jnp.where(rate == 0, 1.0, rate)
+    return jnp.where((rate != 0) & (found > 0), found, 0.0)

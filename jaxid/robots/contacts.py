@@ -1,5 +1,5 @@
-"""Where the shapes of a robot's file touch along a recording. Contacts are not simulated, so only
-what lies between them counts.
+"""Where the shapes of a robot's file touch along a recording: what touches a plane is simulated
+(`jaxid.robots.ground`); of other contacts only what lies between them counts.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ from jaxid.base.errors import UsageError
 from jaxid.base.wording import listed
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.data.splits import GUARD_SAMPLES
+from jaxid.robots.ground import Ground
+from jaxid.robots.ground_points import kind_of, NEAR, Pair, PairContact, points_of, simulated
 from jaxid.robots.mjcf_spec import compiled, drop_all, library, parsed, plain
 from jaxid.robots.mjcf_ties import without_tendons
 from jaxid.robots.recorded_joints import held_at
@@ -31,31 +33,56 @@ MOST = 20_000
 
 
 @dataclass(frozen=True)
+class Shapes:
+    """The compiled model of a file's bodies, joints and plain shapes; its planes see what comes
+    within `room` (m), 0 where the file has margins of its own.
+    """
+
+    model: Any
+    room: float
+
+    def acts(self, contact: Any) -> bool:
+        """Whether a contact pushes, and does not only come near."""
+        return bool(contact.dist < contact.includemargin - self._room(contact))
+
+    def simulated(self, contact: Any) -> bool:
+        """Whether a contact is of a kind that `jaxid.robots.ground` has."""
+        return bool(self.room) and simulated(self.model, contact)
+
+    def _room(self, contact: Any) -> float:
+        return self.room if kind_of(self.model, contact.geom[0]) == "PLANE" else 0.0
+
+
+@dataclass(frozen=True)
 class Touching:
-    """In which samples of a run [samples] something touches, and what does first."""
+    """In which samples of a run [samples] something touches that is not simulated, and what does
+    first ("": nothing). `near`: pairs of shapes that come near and are simulated; `landed`: whether
+    one of them touches.
+    """
 
     samples: Bool[np.ndarray, " samples"]
     between: str
+    near: Mapping[Pair, PairContact]
+    landed: bool
 
 
-def free_of_contact(dataset: Dataset, tree: Tree) -> Dataset:
-    """The dataset with those parts of its runs in which no shapes of the robot's file touch, and a
-    note; as it is where none do, the file has no shapes, or the dataset states `contacts = false`.
+def free_of_contact(dataset: Dataset, tree: Tree, stepped: bool) -> Dataset:
+    """The dataset with those parts of its runs in which no shapes of the robot's file touch but
+    what is simulated, and a note; as it is where none do, the file has no shapes, or the dataset
+    states `contacts = false`. `stepped`: whether MuJoCo's steps are simulated, which know contacts
+    with planes.
 
     Shapes are planes, spheres, capsules, ellipsoids, cylinders and boxes; meshes are not looked at.
     Raises `UsageError` where nothing for fitting is left.
     """
-    ignored = dataset.model is not None and dataset.model.contacts is False
-    if ignored or tree.floats or not tree.text or _of_speed_alone(dataset, tree):
-        return dataset
-    shapes = _shapes(tree.text, tree.file)
+    shapes = _looked_at(dataset, tree)
     if shapes is None:
         return dataset
     kept: list[Experiment] = []
     said: list[str] = []
     for run in dataset.experiments:
-        touching = _touching(shapes, _positions(run, dataset, tree), len(run))
-        if touching is None:
+        touching = _touching(shapes, _positions(run, dataset, tree), len(run), stepped)
+        if not touching.between:
             kept.append(run)
             continue
         kept += _parts(run, touching.samples)
@@ -67,14 +94,39 @@ def free_of_contact(dataset: Dataset, tree: Tree) -> Dataset:
     if not any(run.split == "fit" for run in kept):
         raise UsageError(
             f"nothing for fitting is left where shapes of {tree.file} do not touch: {said[0]}."
-            " Contacts are not simulated: record the robot free of them, or state [model]"
+            " Such contacts are not simulated: record the robot free of them, or state [model]"
             " contacts = false where the machine touches nothing"
         )
     note = (
-        f"shapes of {tree.file} touch, and contacts are not simulated: left out of {listed(said)}"
+        f"shapes of {tree.file} touch, and such contacts are not simulated: left out of"
+        f" {listed(said)}"
         " (where the machine touches nothing, state [model] contacts = false)"
     )
     return replace(dataset, experiments=tuple(kept), notes=(*dataset.notes, note))
+
+
+def ground_of(dataset: Dataset, tree: Tree) -> Ground | None:
+    """What of a robot touches planes of its file along a recording, for a tree whose joints that
+    are not recorded are held; None where nothing does that is simulated.
+    """
+    shapes = _looked_at(dataset, tree)
+    if shapes is None:
+        return None
+    near: dict[Pair, PairContact] = {}
+    landed = False
+    for run in dataset.experiments:
+        touching = _touching(shapes, _positions(run, dataset, tree), len(run), True)
+        near |= touching.near
+        landed = landed or touching.landed
+    return points_of(shapes.model, near, tree) if landed else None
+
+
+def _looked_at(dataset: Dataset, tree: Tree) -> Shapes | None:
+    """The compiled shapes of a file whose contacts count; None where none do."""
+    ignored = dataset.model is not None and dataset.model.contacts is False
+    if ignored or tree.floats or not tree.text or _of_speed_alone(dataset, tree):
+        return None
+    return _shapes(tree.text, tree.file)
 
 
 def _parts(run: Experiment, touching: Bool[np.ndarray, " samples"]) -> list[Experiment]:
@@ -101,9 +153,9 @@ def _of_speed_alone(dataset: Dataset, tree: Tree) -> bool:
 
 
 @lru_cache(maxsize=8)
-def _shapes(text: str, file: str) -> Any:
-    """The compiled model of a file's bodies, joints and plain shapes; None where nothing in it can
-    touch. Raises `UsageError` for shapes that MuJoCo refuses.
+def _shapes(text: str, file: str) -> Shapes | None:
+    """Those of a file; None where nothing in it can touch. Raises `UsageError` for shapes that
+    MuJoCo refuses.
     """
     mujoco = library()
     spec = parsed(Path(file), text)
@@ -117,14 +169,17 @@ def _shapes(text: str, file: str) -> Any:
         return None
     names = {g.name for g in shapes}
     pairs = [p for p in spec.pairs if {p.geomname1, p.geomname2} <= names]
+    room = 0.0 if any(g.margin or g.gap for g in [*shapes, *pairs]) else NEAR
     for geom in shapes:
         geom.material = ""
+        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+            geom.margin += room
     for body in spec.bodies[1:]:
         if not body.explicitinertial:  # of no matter to where something is
             body.mass, body.inertia, body.explicitinertial = 1.0, np.ones(3), True
     drop_all(spec, {"geoms": shapes, "pairs": pairs, "excludes": list(spec.excludes)})
     without_tendons(mujoco, spec)
-    return compiled(Path(file), spec)
+    return Shapes(compiled(Path(file), spec), room)
 
 
 def _positions(run: Experiment, dataset: Dataset, tree: Tree) -> dict[str, np.ndarray]:
@@ -142,25 +197,33 @@ def _positions(run: Experiment, dataset: Dataset, tree: Tree) -> dict[str, np.nd
     return found
 
 
-def _touching(model: Any, positions: Mapping[str, np.ndarray], samples: int) -> Touching | None:
-    """Where shapes touch along a run of so many samples; None where they never do."""
-    mujoco = library()
+def _touching(
+    shapes: Shapes, positions: Mapping[str, np.ndarray], samples: int, stepped: bool
+) -> Touching:
+    """What touches along a run of so many samples."""
+    mujoco, model = library(), shapes.model
     data = mujoco.MjData(model)
     joints = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, j): j for j in range(model.njnt)}
     addresses = {joint: model.jnt_qposadr[joints[joint]] for joint in positions if joint in joints}
     found, between = np.zeros(samples, bool), ""
+    near: dict[Pair, PairContact] = {}
+    landed = False
     step = 1 + samples // MOST
     for k in range(0, samples, step):
         for joint, address in addresses.items():
             values = positions[joint]
             data.qpos[address] = values[min(k, len(values) - 1)]
         mujoco.mj_fwdPosition(model, data)
-        acting = np.flatnonzero(data.contact.exclude[: data.ncon] == 0)
-        found[k : k + step] = acting.size > 0
-        if acting.size and not between:
-            first, second = data.contact.geom[acting[0]]
-            between = f"{_name(model, second)} touches {_name(model, first)}"
-    return Touching(found, between) if between else None
+        for contact in data.contact[: data.ncon]:
+            pair = int(contact.geom[0]), int(contact.geom[1])
+            acts = shapes.acts(contact)
+            if stepped and (pair in near or shapes.simulated(contact)):
+                near.setdefault(pair, PairContact.of(contact))
+                landed = landed or acts
+            elif acts:
+                found[k : k + step] = True
+                between = between or f"{_name(model, pair[1])} touches {_name(model, pair[0])}"
+    return Touching(found, between, near, landed)
 
 
 def _name(model: Any, geom: int) -> str:

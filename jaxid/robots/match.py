@@ -22,7 +22,7 @@ from jaxid.dynamics.joint_readings import with_speeds
 from jaxid.dynamics.parameter import with_fields
 from jaxid.robots import stops
 from jaxid.robots.beside import as_inputs, left_out, rides, with_base, with_rates
-from jaxid.robots.contacts import free_of_contact
+from jaxid.robots.contacts import free_of_contact, ground_of
 from jaxid.robots.drive_inputs import driven_by, without_drive
 from jaxid.robots.drives import DriveLaw, file_law, stated_law
 from jaxid.robots.file_step import beyond_its_step
@@ -300,8 +300,19 @@ def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
     dataset = named(dataset, tree, spec.joints if spec is not None else None)
     dataset = driving(drives_led(outputs_led(dataset, tree), tree), tree)
     tree, _ = led(tree, dataset)
-    dataset = free_of_contact(with_rates(dataset, tree), tree)
+    dataset = with_rates(dataset, tree)
+    dataset = free_of_contact(dataset, tree, _stepped(model, tree, dataset))
     return model, with_base(dataset, tree)
+
+
+def _stepped(robot: Any, tree: Tree, dataset: Dataset) -> bool:
+    """Whether a robot is simulated in MuJoCo's steps, as far as its drive is stated yet."""
+    try:
+        goals = driven_by(tree.driven, dataset) == "goal"
+        law = _law(tree, dataset) if goals else None
+    except UsageError:  # is said by who needs the drive
+        return False
+    return simulator_of(robot, tree, law, dataset.model) == "mujoco"
 
 
 def _beyond_an_arm(path: str, dataset: Dataset) -> Any:
@@ -337,7 +348,8 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
     riding = rides(dataset) and bool(what)
     law = _law(tree, dataset) if what == "goal" else None
     simulator = simulator_of(robot, tree, law, spec)
-    out = type(robot)(tree, driven=False, rides=riding, simulator=simulator)
+    ground = ground_of(dataset, tree) if simulator == "mujoco" and not riding else None
+    out = type(robot)(tree, driven=False, rides=riding, simulator=simulator, ground=ground)
     if law is not None:
         out = out.driven_by(law)
     out = _placed(out, spec)

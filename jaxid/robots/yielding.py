@@ -1,4 +1,4 @@
-"""A robot whose joints give way as its file says where MuJoCo steps it."""
+"""A robot whose joints and contacts give way as its file says where MuJoCo steps it."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from jaxtyping import Array
 
 from jaxid.dynamics.mechanism import Staged
 from jaxid.dynamics.mujoco_step import SoftJoints
-from jaxid.dynamics.parameter import constant
-from jaxid.dynamics.soft_constraints import Slip, Stops
+from jaxid.dynamics.parameter import constant, param
+from jaxid.dynamics.soft_constraints import Edges, Slip, Stops
 from jaxid.numerics.fast_math import inverse
+from jaxid.robots.ground import edges_of, Ground, TreePose, yielding_of
 
 
 class Yielding(Staged):
@@ -33,11 +34,16 @@ class Yielding(Staged):
     stop_width: Array = constant(0.0, unit="{X}", meaning="over which its impedance rises")
     stop_midpoint: Array = constant(0.0, unit="1", meaning="where that rise turns")
     stop_power: Array = constant(0.0, unit="1", meaning="how steep it is there")
+    sliding_friction: Array = param(
+        0.0, 0.0, 3.0, scale=0.1, unit="1", meaning="friction coefficient of a shape on the ground"
+    )
 
     #: How a simulation steps: an integrator of `jaxid.dynamics.mujoco_step`, "" for jaxid's own.
     integrator: str = eqx.field(static=True, default="")
     tree: Any = eqx.field(static=True, default=None)  # the file's own numbers: a `StaticTree`
     yielding: Any = None  # `SoftJoints`, where they are ready
+    ground: Ground | None = eqx.field(static=True, default=None)  # what touches planes
+    weight: Any = None  # inverse mass at the points of the ground, where it is ready
 
     @property
     def own_step(self):
@@ -56,3 +62,24 @@ class Yielding(Staged):
         weight = jnp.sum(inverse(M) * np.eye(len(at)), -1)
         slip = Slip(rate=self.slip_rate, share=self.slip_share)
         return SoftJoints(slip=slip, stops=Stops(*stops), weight=weight)
+
+    def tree_pose(self, q: Any) -> TreePose:
+        """The nodes at positions q [nq] of the joints."""
+        raise NotImplementedError
+
+    def edges(self, q: Any, qd: Any) -> Edges | None:
+        """Edges of the contacts with the ground at positions and speeds [nq]; None where nothing
+        can touch.
+        """
+        if self.ground is None:
+            return None
+        return edges_of(self.ground, self.tree_pose(q), self.sliding_friction, self.weight, qd)
+
+    def weight_at(self, at: Any) -> Any:
+        """Inverse mass at the points of the ground, `at` the positions [nq] of the file's reference
+        pose; None where there are none.
+        """
+        if self.ground is None:
+            return None
+        M, _ = self.matrices(at, jnp.zeros_like(at))
+        return yielding_of(self.ground, self.tree_pose(at), M)
