@@ -196,6 +196,14 @@ class Mechanism(eqx.Module):
         """
         return False
 
+    def told_by_torque(
+        self, q: Float[np.ndarray, "time nq"], beside: int
+    ) -> Bool[np.ndarray, " time"]:
+        """Samples of a motion whose torque is that of the drives alone; what does not count reaches
+        `beside` samples further.
+        """
+        return np.ones(len(q), bool)
+
     def places(self, effect: Any, signature: Signature) -> tuple[str, ...]:
         """Names of the places of an effect at the inputs or outputs, one for each channel."""
         channels = signature.commands if effect.location == "input" else signature.outputs

@@ -313,9 +313,11 @@ class InverseDynamics(Residual):
         w = np.zeros_like(samples.w)
         records = []
         for number, e in enumerate(experiments):
-            p = positions[number]
-            kept = p[setting.ends[number] : len(p) - setting.ends[number] : setting.decimate]
-            w[kept] = 1 / setting.noise
+            p, ends = positions[number], setting.ends[number]
+            told = chain.mechanism.told_by_torque(setting.motion[number][:, : chain.nq], ends)
+            at = np.arange(ends, len(p) - ends, setting.decimate)
+            kept = p[at]
+            w[p[at[told[at]]]] = 1 / setting.noise
             record = record_of(
                 number=number, e=e, p=p, a=0, b=len(e.t), dataset=dataset, chain=chain, burn=0
             )

@@ -393,11 +393,11 @@ def per_joint(
     return tuple(float(v) for v in values)
 
 
-def file_law(tree: Tree) -> DriveLaw:
-    """The law of the file's position actuators. Raises `UsageError` naming a joint that has
-    none.
+def file_law(tree: Tree, driven: Sequence[str] | None = None) -> DriveLaw:
+    """The law of the file's position actuators, of all joints that lead or of those that are
+    `driven`. Raises `UsageError` naming a joint that has none.
     """
-    joints = tree.leading
+    joints = tree.leading if driven is None else driven
     lacking = [j for j in joints if j not in tree.actuators or tree.actuators[j].kind != "position"]
     if lacking:
         raise UsageError(

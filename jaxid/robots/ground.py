@@ -143,6 +143,17 @@ def yielding_of(ground: Ground, pose: TreePose, M: Float[Array, "n n"]) -> Float
     return jnp.sum(each.reshape(-1, 3), -1) / 3
 
 
+def distances_of(ground: Ground, pose: TreePose) -> Float[Array, " points"]:
+    """How far each point is from its plane, m."""
+    centre = _places(pose, ground.array("node"), ground.array("position"))
+    return _distances(ground, centre)
+
+
+def _distances(ground: Ground, centre: Float[Array, "points 3"]) -> Float[Array, " points"]:
+    along = jnp.sum(centre * ground.array("normal"), -1)
+    return along - ground.array("height") - ground.array("radius")
+
+
 def edges_of(
     ground: Ground,
     pose: TreePose,
@@ -153,9 +164,8 @@ def edges_of(
     """Edges of all points at a pose with these speeds: four of each."""
     nodes, normal = ground.array("node"), ground.array("normal")
     centre = _places(pose, nodes, ground.array("position"))
-    radius = ground.array("radius")
-    distance = jnp.sum(centre * normal, -1) - ground.array("height") - radius
-    at = centre - normal * (radius + distance / 2)[:, None]
+    distance = _distances(ground, centre)
+    at = centre - normal * (ground.array("radius") + distance / 2)[:, None]
     slopes = _slopes(pose, nodes, at)
     up = jnp.sum(slopes * normal[:, None], -1)
     first, second = _tangents(ground, pose)

@@ -27,6 +27,7 @@ from jaxid.robots.drive_inputs import driven_by, without_drive
 from jaxid.robots.drives import DriveLaw, file_law, stated_law
 from jaxid.robots.file_step import beyond_its_step
 from jaxid.robots.floating import floating, refuse_unmeasured, wanted
+from jaxid.robots.free_joints import beside_free_joints, with_free_joints
 from jaxid.robots.followers import drives_led, led, outputs_led
 from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.recorded_joints import held_at, POSE as POSE, refuse_unknown
@@ -300,6 +301,7 @@ def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
     dataset = named(dataset, tree, spec.joints if spec is not None else None)
     dataset = driving(drives_led(outputs_led(dataset, tree), tree), tree)
     tree, _ = led(tree, dataset)
+    dataset = with_free_joints(dataset, tree)
     dataset = with_rates(dataset, tree)
     dataset = free_of_contact(dataset, tree, _stepped(model, tree, dataset))
     return model, with_base(dataset, tree)
@@ -368,10 +370,15 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
 
 def _law(tree: Tree, dataset: Dataset) -> DriveLaw:
     """The law under which goals drive: that of the dataset, else that of the file."""
-    if dataset.controller is None:
-        return file_law(tree)
     first = (dataset.split("fit") or dataset.experiments)[0]
-    return stated_law(dataset.controller, tree.driven, float(np.median(np.diff(first.t))))
+    period = float(np.median(np.diff(first.t)))
+
+    def of(joints: list[str]) -> DriveLaw:
+        if dataset.controller is None:
+            return file_law(tree, joints)
+        return stated_law(dataset.controller, joints, period)
+
+    return beside_free_joints(tree, dataset, of)
 
 
 def simulator_of(robot: Any, tree: Tree, law: DriveLaw | None, spec: ModelSpec | None) -> str:

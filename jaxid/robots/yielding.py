@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -14,7 +15,8 @@ from jaxid.dynamics.mujoco_step import SoftJoints
 from jaxid.dynamics.parameter import constant, param
 from jaxid.dynamics.soft_constraints import Edges, Slip, Stops
 from jaxid.numerics.fast_math import inverse
-from jaxid.robots.ground import edges_of, Ground, TreePose, yielding_of
+from jaxid.numerics.precision import float64
+from jaxid.robots.ground import distances_of, edges_of, Ground, TreePose, yielding_of
 
 
 class Yielding(Staged):
@@ -83,3 +85,15 @@ class Yielding(Staged):
             return None
         M, _ = self.matrices(at, jnp.zeros_like(at))
         return yielding_of(self.ground, self.tree_pose(at), M)
+
+    def told_by_torque(self, q, beside):
+        if self.ground is None:
+            return super().told_by_torque(q, beside)
+        ground, ready = self.ground, self.prepare(None)
+        with float64():
+            least = jax.vmap(lambda x: jnp.min(distances_of(ground, ready.tree_pose(x))))(q)
+        near = np.flatnonzero(np.asarray(least) <= 0)
+        told = np.ones(len(q), bool)
+        for sample in near:
+            told[max(0, sample - beside) : sample + beside + 1] = False
+        return told
