@@ -27,7 +27,7 @@ from jaxid.robots.channels import GRAVITY, PLACE, RIDE, signature_of, torque
 from jaxid.robots.coupled import carried, Coupled, coupled, gathered
 from jaxid.robots.file_step import FIELDS as SOFT
 from jaxid.robots.floating import balanced, based, without_slides
-from jaxid.robots.ground import Ground, pose_of
+from jaxid.robots.ground import friction_of, Ground, nameless_of, pose_of
 from jaxid.robots.tree import chain_of_rods, roll_pitch_yaw, StaticTree, Tree, up_to
 from jaxid.robots.yielding import Yielding
 
@@ -235,8 +235,7 @@ class Robot(Yielding):
         soft = dict.fromkeys(SOFT, np.float64(0.0)) if step is None else step.of(leading)
         for name, value in (numbers | soft).items():
             setattr(self, name, value)
-        self.ground = ground if self.integrator else None
-        self.sliding_friction = np.array(self.ground.friction if self.ground else (), np.float64)
+        self.ground, self.sliding_friction = ground, friction_of(ground)
         self.prepared = self.yielding = self.added = self.tilt = self.drive_law = None
         self.weight = None
         self.fitted = ()
@@ -255,7 +254,7 @@ class Robot(Yielding):
         if driven:
             from jaxid.robots.drives import file_law
 
-            self._drive(file_law(tree) if law is None else law, own)
+            self._drive(file_law(tree, tree.leading) if law is None else law, own)
         self.builtin = tuple(own)
 
     def _drive(self, law: Any, own: list) -> None:
@@ -351,7 +350,7 @@ class Robot(Yielding):
             "signatures": (signature,),
             "drive_law": law,
             "fitted": (),
-            "ground": None if self.ground is None else self.ground.nameless,
+            "ground": nameless_of(self.ground),
         }
         out = object.__new__(type(self))  # static fields cannot be replaced otherwise
         for f in dataclasses.fields(self):
@@ -455,14 +454,13 @@ class Robot(Yielding):
         places = np.array([self.joints.index(joint) for joint in self.signatures[0].joints])
         resting = np.array(self.reference)[places] + self.encoder_bias
         ready = ready._with("yielding", ready.soft_joints(resting))
-        return ready._with("weight", ready.weight_at(resting)) if self.ground else ready
+        return ready._with("weight", ready.weight_at(resting))
 
     def tree_pose(self, q):
+        body, plan = self._worked_out()[0], plan_of(self.parent)
         own = self.coupling.positions(q - self.encoder_bias) - np.array(self.reference)
-        plan = plan_of(self.parent)
-        body, _ = self._worked_out()
         poses = dynamics.poses(plan, dynamics.frames(plan, body, own))
-        return pose_of(poses, np.array(self.axes).reshape(-1, 3), self.slides, self.parent)
+        return pose_of(poses, self.axes, self.slides, self.parent)
 
     def _worked_out(self) -> tuple[dynamics.Body, Base]:
         return (self.body(), self.standing()) if self.prepared is None else self.prepared
@@ -470,15 +468,16 @@ class Robot(Yielding):
     def _spring(self, q: Float[Array, " n"]) -> Float[Array, " n"]:
         return self.stiffness * (q - self.springref)
 
+    def _nodes(self, q: Any, qd: Any) -> tuple[Any, Any, Any, Any]:
+        """How nodes move with the joints, their positions and speeds, and how these bend."""
+        own = q - self.encoder_bias
+        S, bent = self.coupling.jacobian(own), self.coupling.bent(own, qd)
+        return S, self.coupling.positions(own), carried(S, qd), bent
+
     def matrices(self, q, qd) -> Any:
         body, base = self._worked_out()
-        plan, own = plan_of(self.parent), q - self.encoder_bias
-        S, q, bent = (
-            self.coupling.jacobian(own),
-            self.coupling.positions(own),
-            self.coupling.bent(own, qd),
-        )
-        qd = carried(S, qd)
+        plan = plan_of(self.parent)
+        S, q, qd, bent = self._nodes(q, qd)
         E = dynamics.frames(plan, body, q - np.array(self.reference))
         M = dynamics.mass_matrix(plan, body, E) + jnp.diag(jnp.asarray(self.armature))
         bias = dynamics.inverse_dynamics(plan, body, E, base, qd, bent) + self._spring(q)
@@ -504,13 +503,8 @@ class Robot(Yielding):
     def inverse(self, q, qd, qdd):
         """Joint torque of a motion [nq], dissipation excluded."""
         (body, base), plan = self._worked_out(), plan_of(self.parent)
-        own = q - self.encoder_bias
-        S, q, bent = (
-            self.coupling.jacobian(own),
-            self.coupling.positions(own),
-            self.coupling.bent(own, qd),
-        )
-        qd, qdd = carried(S, qd), carried(S, qdd) + bent
+        S, q, qd, bent = self._nodes(q, qd)
+        qdd = carried(S, qdd) + bent
         E = dynamics.frames(plan, body, q - np.array(self.reference))
 
         def force(a):
@@ -529,9 +523,7 @@ class Robot(Yielding):
         its linear momentum is 0.
         """
         body, plan = self._worked_out()[0], plan_of(self.parent)
-        own = q - self.encoder_bias
-        S, q = self.coupling.jacobian(own), self.coupling.positions(own)
-        qd = carried(S, qd)
+        S, q, qd, _ = self._nodes(q, qd)
         E = dynamics.frames(plan, body, q - np.array(self.reference))
         rest = still((0.0 * q[0],) * 3)
 
@@ -551,9 +543,7 @@ class Robot(Yielding):
     def _carried(self, ride: Any, q: Any, qd: Any) -> Any:
         """Joint torque that the base's motion takes beside that of the base at rest."""
         (body, base), plan = self._worked_out(), plan_of(self.parent)
-        own = q - self.encoder_bias
-        S, q = self.coupling.jacobian(own), self.coupling.positions(own)
-        qd = carried(S, qd)
+        S, q, qd, _ = self._nodes(q, qd)
         E = dynamics.frames(plan, body, q - np.array(self.reference))
         steady = jnp.zeros_like(qd)
         moving, resting = (
@@ -564,16 +554,8 @@ class Robot(Yielding):
 
     def outline(self, x, signature):
         """The tree as one line that goes out along each limb and back."""
-        E = dynamics.frames(
-            plan_of(self.parent),
-            self.body(),
-            self.coupling.positions(x[0] - self.encoder_bias) - np.array(self.reference),
-        )
-        p = jnp.stack(dynamics.poses(plan_of(self.parent), E).p, -1)
-        rows = dynamics.turn(self.base_roll, self.base_pitch, self.base_yaw)
-        R = jnp.stack([jnp.stack(row) for row in rows])
-        p = jnp.concatenate([p, jnp.zeros((1, 3))]) @ R.T
-        return p[np.array(dynamics.tour(self.parent))]
+        tilt = (self.base_roll, self.base_pitch, self.base_yaw)
+        return dynamics.outlined(self.tree_pose(x[0]).origin, tilt, self.parent)
 
     # ---- where effects of the mechanism act
 

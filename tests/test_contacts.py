@@ -1,4 +1,4 @@
-"""Contacts that a robot's file knows and no simulation here has: only what lies between counts."""
+"""Contacts of a robot's file: simulated where they are asked for, else what lies between counts."""
 
 import importlib
 from dataclasses import replace
@@ -10,7 +10,10 @@ import pytest
 
 import jaxid
 from jaxid.data.dataset import ModelSpec
+from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.models import Robot
+from jaxid.problem.binding import bind
+from jaxid.problem.residual import OutputError
 from jaxid.robots.contacts import GUARD
 from jaxid.robots.match import prepared
 
@@ -138,3 +141,95 @@ def test_a_dataset_on_disk_is_cut_alike(tmp_path):
     assert len(data.experiments) > 1
     for part in data.experiments:
         assert not touching[np.round(part.t / STEP).astype(int)].any()
+
+
+#: A leg of three joints that a guide lets slide, with nothing that drives its two slides.
+LEG = """<mujoco><compiler angle="radian"/><option timestep="0.002" integrator="{integrator}"/>
+  <worldbody><geom name="floor" type="plane" size="5 5 .1"/>
+  <body name="hips" pos="0 0 .62"><joint name="along" type="slide" axis="1 0 0"/>
+    <joint name="up" type="slide" axis="0 0 1" ref=".62" damping=".5"/>
+    <geom type="box" size=".08 .05 .05" mass="3"/>
+  <body name="thigh"><joint name="hip" axis="0 1 0" armature=".01" damping=".2"/>
+    <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".03" mass=".6"/>
+  <body name="shank" pos="0 0 -.3"><joint name="knee" axis="0 1 0" armature=".01" damping=".2"
+      frictionloss=".1"/>
+    <geom type="capsule" fromto="0 0 0 0 0 -.25" size=".025" mass=".4"/>
+  <body name="foot" pos="0 0 -.28"><geom name="sole" mass=".1" {shape}/></body>
+  </body></body></body></worldbody>
+  <actuator><position joint="hip" kp="200" kv="4"/>
+    <position joint="knee" kp="200" kv="4" forcerange="-60 60"/></actuator></mujoco>"""
+SOLES = {
+    "sphere": 'type="sphere" size=".03"',
+    "capsule": 'type="capsule" fromto="-.05 0 0 .06 .01 0" size=".02" friction="1.2 .005 .0001"',
+    "box": 'type="box" size=".05 .02 .01" solref=".01 .8" solimp=".8 .95 .002 .4 1.5"',
+}
+
+
+def hopping(text: str) -> tuple[jaxid.Dataset, np.ndarray]:
+    """Eight hundred steps of the leg in MuJoCo that begin at rest, and its positions [time 4]."""
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    t = np.arange(800) * STEP
+    bend = 0.8 + 0.45 * np.clip(1.5 * np.sin(2 * np.pi * 1.4 * t), -0.6, 1.0)
+    u = np.stack([-0.5 * bend, bend], 1)
+    data.qpos[:] = [0.0, 0.6, *u[0]]
+    q, landed = np.empty((len(t), 4)), 0
+    for k, goal in enumerate(u):
+        q[k], data.ctrl[:] = data.qpos, goal
+        mujoco.mj_step(model, data)
+        landed += data.ncon > 0
+    assert 100 < landed < 790
+    names = ("along", "up", "hip", "knee")
+    recorded = jaxid.Dataset.from_arrays(
+        [t],
+        {f"{name}_cmd": [u[:, k]] for k, name in enumerate(names[2:])},
+        {name: [q[:, k]] for k, name in enumerate(names)},
+        units={
+            **dict.fromkeys(names[:2], "m"),
+            **dict.fromkeys([*names[2:], "hip_cmd", "knee_cmd"], "rad"),
+        },
+        initial=[{name: float(q[0, k]) for k, name in enumerate(names)}],
+        check_model=False,
+    )
+    return replace(recorded, model=ModelSpec(contacts=True)), q
+
+
+def rollout(text: str, data: jaxid.Dataset, **numbers: float) -> tuple[np.ndarray, list[str]]:
+    """The simulation of a file from rest, and the names of the model's numbers."""
+    robot = Robot.from_mjcf("leg.xml", text=text)
+    binding = bind(robot, data, splits=False)
+    runs = ProblemBuilder(binding, differences=1).runs(OutputError(), "fit")
+    theta = binding.theta.copy()
+    for name, value in numbers.items():
+        theta[binding.layout.names.index(name)] = value
+    start = np.concatenate([data.experiments[0].y[0], np.zeros(4)])
+    lane = runs.engine.outputs(theta[None], start[None], np.zeros(1, int))[0]
+    return lane[: len(data.experiments[0])], list(binding.layout.names)
+
+
+@pytest.mark.parametrize("sole", SOLES)
+def test_a_leg_hops_as_it_does_in_mujoco(sole):
+    integrator = {"sphere": "Euler", "capsule": "implicitfast", "box": "RK4"}[sole]
+    text = LEG.format(shape=SOLES[sole], integrator=integrator)
+    data, q = hopping(text)
+    found, names = rollout(text, data)
+    np.testing.assert_allclose(found, q, rtol=0, atol=1e-8)
+    assert "sliding_friction@sole" in names
+    slippery, _ = rollout(text, data, **{"sliding_friction@sole": 0.1})
+    assert np.max(np.abs(slippery - q)) > 1e-3
+
+
+def test_joints_without_an_actuator_move_freely():
+    text = LEG.format(shape=SOLES["sphere"], integrator="Euler")
+    data, _ = hopping(text)
+    _, read = prepared(Robot.from_mjcf("leg.xml", text=text), data)
+    assert read.input_names == ["hip_cmd", "knee_cmd", "along_cmd", "up_cmd"]
+    assert not np.any(read.experiments[0].u[:, 2:])
+    assert any("along and up" in note and "moves freely" in note for note in read.notes)
+
+
+def test_a_diagnosis_says_that_it_simulates_no_contact():
+    text = LEG.format(shape=SOLES["sphere"], integrator="Euler")
+    data, _ = hopping(text)
+    with pytest.raises(jaxid.UsageError, match="a diagnosis does not simulate contacts"):
+        jaxid.diagnose(Robot.from_mjcf("leg.xml", text=text), data)

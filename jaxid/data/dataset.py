@@ -67,7 +67,8 @@ class ModelSpec:
     the name of its joint. `file` is the path of a model of the user's own, with its class where it
     was named (`/data/osc/duffing.py:Duffing`). `trust` says how far stated numbers may be off: see
     `jaxid.problem.trust`. `simulator` says whose steps a robot of a file takes: "own", or "mujoco".
-    `contacts`: whether shapes of its file that touch count as contacts of the machine.
+    `contacts`: whether shapes of its file that touch count as contacts of the machine; true has
+    them simulated.
     """
 
     name: str | None = None

@@ -44,7 +44,7 @@ class ChainForm:
     its structure.
     """
 
-    def __init__(self, chain: Chain, leaves: Sequence[tuple[int, str, int]]):
+    def __init__(self, chain: Chain, leaves: Sequence[tuple[int, str, int | None]]):
         self.chain, self._leaves = chain.nameless(), leaves
         self._structure = jax.tree.structure(self.chain)
 
@@ -82,9 +82,7 @@ def _leaves(chain: Chain) -> list[tuple[int, str, int | None]]:
     return leaves
 
 
-def _with_numbers(
-    chain: Chain, leaves: Sequence[tuple[int, str, int | None]], theta: Any
-) -> Chain:
+def _with_numbers(chain: Chain, leaves: Sequence[tuple[int, str, int | None]], theta: Any) -> Chain:
     values: list[Any] = []
     position = 0
     for _, _, width in leaves:

@@ -241,9 +241,10 @@ def _best(
         _crossing(rows.side * rows.stop_target - a, d),
         jnp.array([0.0, 1.0]),
     ]
+    short = rising = jnp.zeros(0)
     if edges is not None:
-        lifted, rising = dot(edges.rows, a), dot(edges.rows, d)
-        parts.append(_crossing(edges.target - lifted, rising))
+        short, rising = edges.target - dot(edges.rows, a), dot(edges.rows, d)
+        parts.append(_crossing(short, rising))
     places = jnp.concatenate(parts)
     there = a + places[:, None] * d
     opposed = jnp.clip((there - rows.target) / rows.compliance, -rows.minus, rows.plus)
@@ -251,8 +252,8 @@ def _best(
     forces = along + places[:, None] * slope + opposed - rows.side * pushing
     slopes = jnp.sum(d * forces, -1)
     if edges is not None:
-        short = edges.target - lifted - places[:, None] * rising
-        slopes = slopes - jnp.sum(rising * jnp.maximum(short, 0.0) / edges.compliance, -1)
+        pressed = jnp.maximum(short - places[:, None] * rising, 0.0) / edges.compliance
+        slopes = slopes - jnp.sum(rising * pressed, -1)
     low = jnp.max(jnp.where(slopes <= 0, places, 0.0))
     high = jnp.min(jnp.where(slopes > 0, places, jnp.inf))
     at_low = jnp.max(jnp.where((places == low) & (slopes <= 0), slopes, -jnp.inf))

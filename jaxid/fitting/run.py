@@ -17,6 +17,7 @@ from jaxid.fitting.change import fit_change, noticed
 from jaxid.fitting.effect_starts import probe_starts
 from jaxid.fitting.ending import looked_again
 from jaxid.fitting.fitter import AbstractFitter, Minimum, Progress
+from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.lost_runs import believed, growth, SENSITIVE
 from jaxid.fitting.problem_builder import default_residual, ProblemBuilder, start_values
 from jaxid.fitting.result import Fit
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 
 #: A fit that took less is soon made again: nothing is saved before its end.
 WORTH_SAVING_S = 5.0
+#: Iterations and tolerance of a fit of how runs begin.
+BEGINNINGS = (30, 1e-4)
 
 
 def fit_binding(
@@ -205,10 +208,22 @@ class _SeedRun:
             problem = common[key]
             if residual.torques:
                 refuse_scale_free(problem, problem.z(guesses[0]))
-            jobs.append((problem, [problem.z(g) for g in guesses], jax.random.key(seed)))
+            begun = [self._begun(bench, problem, g) for g in guesses]
+            jobs.append((problem, begun, jax.random.key(seed)))
         if engine:
             engine.compile_ahead("outputs", binding.theta, binding.free)
         return jobs
+
+    def _begun(self, bench: ProblemBuilder, problem: FitProblem, guess: np.ndarray) -> np.ndarray:
+        """The search vector at a guess of the numbers. Where something touches, a run that begins
+        a little off touches elsewhere, and numbers would be moved for that: how the runs begin is
+        fitted before them.
+        """
+        if not touches(self.binding) or self.residual.torques:
+            return problem.z(guess)
+        alone = bench.problem(self.residual, "fit", [], guess, loss=self.loss)
+        (path,) = levenberg_marquardt([(alone, alone.z(guess))], *BEGINNINGS)
+        return problem.z(guess, alone.starts(path.z))
 
     def _refined(self, seed: int, step: float) -> np.ndarray | None:
         """The numbers of a fit that half the step would move; None for one that is done."""
@@ -284,6 +299,11 @@ class _SeedRun:
         )
 
 
+def touches(binding: Binding) -> bool:
+    """Whether contacts are simulated."""
+    return getattr(binding.chain.mechanism, "ground", None) is not None
+
+
 class ProblemBuilders:
     """Benches of a binding by step, and the start values on them, each made once."""
 
@@ -303,7 +323,8 @@ class ProblemBuilders:
                 for made, bench in self._benches.items()
                 if samples.divided_alike(every, made, step)
             )
-            self._benches[step] = next(same, None) or ProblemBuilder(self.binding, step)
+            sides = int(touches(self.binding))  # tangents through contacts compile for minutes
+            self._benches[step] = next(same, None) or ProblemBuilder(self.binding, step, sides)
         return self._benches[step]
 
     def starts(

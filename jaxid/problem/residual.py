@@ -316,13 +316,12 @@ class InverseDynamics(Residual):
             p, ends = positions[number], setting.ends[number]
             told = chain.mechanism.told_by_torque(setting.motion[number][:, : chain.nq], ends)
             at = np.arange(ends, len(p) - ends, setting.decimate)
-            kept = p[at]
             w[p[at[told[at]]]] = 1 / setting.noise
             record = record_of(
                 number=number, e=e, p=p, a=0, b=len(e.t), dataset=dataset, chain=chain, burn=0
             )
             records.append(
-                Record(**{**record.__dict__, "samples": kept, "free": np.zeros_like(record.free)})
+                Record(**{**record.__dict__, "samples": p[at], "free": np.zeros_like(record.free)})
             )
         samples = samples._replace(y=np.zeros_like(samples.y), w=w)
         lane: Lane = (

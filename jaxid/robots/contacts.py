@@ -161,10 +161,7 @@ def _shapes(text: str, file: str) -> Shapes | None:
     spec = parsed(Path(file), text)
     if spec.option.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT):
         return None
-    floats = any(j.type == mujoco.mjtJoint.mjJNT_FREE for j in spec.joints)
-    shapes = [g for g in spec.geoms if plain(g) or g.type == mujoco.mjtGeom.mjGEOM_PLANE]
-    if floats:  # where it stands in its surroundings is not recorded
-        shapes = [g for g in shapes if g.parent.name != "world"]
+    shapes = _plain_shapes(spec)
     if not shapes:
         return None
     names = {g.name for g in shapes}
@@ -180,6 +177,17 @@ def _shapes(text: str, file: str) -> Shapes | None:
     drop_all(spec, {"geoms": shapes, "pairs": pairs, "excludes": list(spec.excludes)})
     without_tendons(mujoco, spec)
     return Shapes(compiled(Path(file), spec), room)
+
+
+def _plain_shapes(spec: Any) -> list[Any]:
+    """Planes and plain shapes of a file; of one whose base is free those that it carries: where it
+    stands in its surroundings is not recorded.
+    """
+    kinds, joint = library().mjtGeom, library().mjtJoint
+    shapes = [g for g in spec.geoms if plain(g) or g.type == kinds.mjGEOM_PLANE]
+    if any(j.type == joint.mjJNT_FREE for j in spec.joints):
+        shapes = [g for g in shapes if g.parent.name != "world"]
+    return shapes
 
 
 def _positions(run: Experiment, dataset: Dataset, tree: Tree) -> dict[str, np.ndarray]:

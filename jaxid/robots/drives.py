@@ -9,9 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxid.base.errors import nearest, UsageError
-from jaxid.data.dataset import Controller, ParameterPrior
+from jaxid.data.dataset import Controller, Dataset, ModelSpec, ParameterPrior
 from jaxid.dynamics.effect import LONGEST_DELAY_S
 from jaxid.robots.beside import rates_of
+from jaxid.robots.drive_inputs import driven_by
+from jaxid.robots.file_step import beyond_its_step
+from jaxid.robots.free_joints import beside_free_joints
 from jaxid.robots.tree import Tree
 
 
@@ -393,11 +396,10 @@ def per_joint(
     return tuple(float(v) for v in values)
 
 
-def file_law(tree: Tree, driven: Sequence[str] | None = None) -> DriveLaw:
-    """The law of the file's position actuators, of all joints that lead or of those that are
-    `driven`. Raises `UsageError` naming a joint that has none.
+def file_law(tree: Tree, joints: Sequence[str]) -> DriveLaw:
+    """The law of the file's position actuators of these joints. Raises `UsageError` naming one that
+    has none.
     """
-    joints = tree.leading if driven is None else driven
     lacking = [j for j in joints if j not in tree.actuators or tree.actuators[j].kind != "position"]
     if lacking:
         raise UsageError(
@@ -421,3 +423,45 @@ def file_law(tree: Tree, driven: Sequence[str] | None = None) -> DriveLaw:
         lag=tuple(a.lag for a in own),
         control=control if np.isfinite(control).any() else (),
     )
+
+
+def law_of(tree: Tree, dataset: Dataset) -> DriveLaw:
+    """The law under which goals drive: that of the dataset, else that of the file."""
+    first = (dataset.split("fit") or dataset.experiments)[0]
+    period = float(np.median(np.diff(first.t)))
+
+    def of(joints: list[str]) -> DriveLaw:
+        if dataset.controller is None:
+            return file_law(tree, joints)
+        return stated_law(dataset.controller, joints, period)
+
+    return beside_free_joints(tree, dataset, of)
+
+
+def simulator_of(robot: Any, tree: Tree, law: DriveLaw | None, spec: ModelSpec | None) -> str:
+    """Whose steps simulate a robot: those that the dataset states, else under goals the file's own
+    where they are known.
+    """
+    if spec is not None and spec.simulator is not None:
+        return spec.simulator
+    goals_by_its_steps = law is not None and not beyond_its_step(tree, law)
+    return "mujoco" if robot.integrator or goals_by_its_steps else "own"
+
+
+def stepped(robot: Any, tree: Tree, dataset: Dataset) -> bool:
+    """Whether contacts are asked for and a robot is simulated in MuJoCo's steps, as far as its
+    drive is stated yet.
+    """
+    if not asked_for_contacts(dataset):
+        return False
+    try:
+        goals = driven_by(tree.driven, dataset) == "goal"
+        law = law_of(tree, dataset) if goals else None
+    except UsageError:  # is said by who needs the drive
+        return False
+    return simulator_of(robot, tree, law, dataset.model) == "mujoco"
+
+
+def asked_for_contacts(dataset: Dataset) -> bool:
+    """Whether [model] contacts is true."""
+    return dataset.model is not None and dataset.model.contacts is True

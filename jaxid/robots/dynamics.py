@@ -269,6 +269,15 @@ def angular_velocity(angles: Float[Array, " 3"], rates: Float[Array, " 3"]) -> F
     return jnp.stack([roll - yaw * sp, pitch * cr + yaw * sr * cp, yaw * cr * cp - pitch * sr])
 
 
+def outlined(origin: Float[Array, "n 3"], tilt: Any, parent: tuple[int, ...]) -> Any:
+    """Origins of the nodes in the base's frame, and the base's own, along the walk of `tour` in the
+    world: [places 3]; the base is turned by `tilt` (roll, pitch, yaw).
+    """
+    R = jnp.stack([jnp.stack(row) for row in turn(*tilt)])
+    places = jnp.concatenate([origin, jnp.zeros((1, 3))]) @ R.T
+    return places[np.array(tour(parent))]
+
+
 def tour(parent: tuple[int, ...]) -> list[int]:
     """Nodes in the order of a walk out along every limb and back; -1, the base, begins and ends
     it.

@@ -6,18 +6,21 @@ under a law of zeros, along a goal that does nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
 from jaxid.base.errors import UsageError
 from jaxid.base.wording import listed
-from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.robots.channels import goal
-from jaxid.robots.drives import DriveLaw
 from jaxid.robots.tree import Tree
+
+
+if TYPE_CHECKING:
+    from jaxid.data.dataset import Dataset, Experiment
+    from jaxid.robots.drives import DriveLaw
 
 
 #: What a law of a joint that nothing drives has in place of numbers.
@@ -57,8 +60,9 @@ def with_free_joints(dataset: Dataset, tree: Tree) -> Dataset:
     lacking = [j for j in free_joints(tree, dataset) if goal(j) not in dataset.input_names]
     if not lacking:
         return dataset
-    outputs = {c.name: c.unit for c in dataset.outputs}
-    added = [Channel(goal(j), "input", outputs[j]) for j in lacking]
+    units = {c.name: c.unit for c in dataset.outputs}
+    like = next(c for c in dataset.inputs if c.name.removesuffix("_cmd") in tree.actuators)
+    added = [replace(like, name=goal(j), unit=units[j]) for j in lacking]
 
     def one(e: Experiment) -> Experiment:
         zeros = np.zeros((len(e.u), len(lacking)))
@@ -83,7 +87,8 @@ def beside_free_joints(
     """
     free = free_joints(tree, dataset)
     joints = tree.driven
-    law = law_of([j for j in joints if j not in free])
+    driven = [j for j in joints if j not in free]
+    law = law_of(driven)
     if not free:
         return law
     if law.rates:
@@ -91,10 +96,15 @@ def beside_free_joints(
             f"[controller] reference_velocity: {free[0]} moves freely, and goals that come with"
             ' rates need one for each joint: write reference_velocity = "none"'
         )
-    own = {j: k for k, j in enumerate(j for j in joints if j not in free)}
+    own = {joint: k for k, joint in enumerate(driven)}
     numbers: dict[str, Any] = {}
     for name, none in NONE.items():
         stated = getattr(law, name)
         if stated:
-            numbers[name] = tuple(stated[own[j]] if j in own else none for j in joints)
+            numbers[name] = tuple([_of(stated, own, j, none) for j in joints])
     return replace(law, **numbers)
+
+
+def _of(stated: Sequence[Any], own: Mapping[str, int], joint: str, none: Any) -> Any:
+    """A number of a joint's law, `none` where it has no law."""
+    return stated[own[joint]] if joint in own else none

@@ -81,10 +81,22 @@ class Ground:
         """One number of the softness of every point."""
         return np.array([getattr(point.softness, name) for point in self.points])
 
-    @property
-    def nameless(self) -> Ground:
-        shapes = tuple(f"shape {k + 1}" for k in range(len(self.shapes)))
-        return Ground(self.points, shapes, (0.0,) * len(self.friction), self.ratio)
+    def softness(self) -> Any:
+        """Numbers of `Softness`, each of every point."""
+        return Softness(*(self.soft(name) for name in Softness.__annotations__))  # type: ignore
+
+
+def nameless_of(ground: Ground | None) -> Ground | None:
+    """The same without names and numbers that are told to a program."""
+    if ground is None:
+        return None
+    shapes = tuple(f"shape {k + 1}" for k in range(len(ground.shapes)))
+    return Ground(ground.points, shapes, (0.0,) * len(shapes), ground.ratio)
+
+
+def friction_of(ground: Ground | None) -> Any:
+    """Friction of the shapes of the ground by the file, [shapes]."""
+    return np.array(() if ground is None else ground.friction, np.float64)
 
 
 class TreePose(NamedTuple):
@@ -100,12 +112,15 @@ class TreePose(NamedTuple):
 
 
 def pose_of(
-    poses: Placements, axes: np.ndarray, slides: Sequence[bool], parent: Sequence[int]
+    poses: Placements,
+    axes: Sequence[Sequence[float]],
+    slides: Sequence[bool],
+    parent: Sequence[int],
 ) -> TreePose:
     """From the frames of the nodes, components [n]."""
     columns = [jnp.stack(column, -1) for column in poses[:3]]
     turn = jnp.stack(columns, -1)
-    axis = jnp.sum(turn * jnp.asarray(axes)[:, None, :], -1)
+    axis = jnp.sum(turn * np.array(axes).reshape(-1, 1, 3), -1)
     return TreePose(turn, jnp.stack(poses.p, -1), axis, np.array(slides, bool), _moves(parent))
 
 
@@ -174,7 +189,7 @@ def edges_of(
     for tangent in (first, second):
         across = mu[:, None] * jnp.sum(slopes * tangent[:, None], -1)
         rows += [up + across, up - across]
-    share = impedance(distance, Softness(*map(ground.soft, Softness.__annotations__)))  # type: ignore[arg-type]
+    share = impedance(distance, ground.softness())
     touches = distance < 0
     pull = -ground.soft("stiffness") * share * distance
     rate = ground.soft("rate")

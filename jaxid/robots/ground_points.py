@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
@@ -20,7 +20,7 @@ from jaxid.robots.tree import Tree
 Pair = tuple[int, int]
 
 #: A shape that comes no nearer to a plane than this along a recording is not simulated with it, m.
-NEAR = 0.05
+NEAR = 0.01
 #: Dimensions of a contact that slides and neither twists nor rolls.
 SLIDES = 3
 

@@ -24,11 +24,12 @@ from jaxid.robots import stops
 from jaxid.robots.beside import as_inputs, left_out, rides, with_base, with_rates
 from jaxid.robots.contacts import free_of_contact, ground_of
 from jaxid.robots.drive_inputs import driven_by, without_drive
-from jaxid.robots.drives import DriveLaw, file_law, stated_law
+from jaxid.robots.drives import asked_for_contacts, law_of, simulator_of, stepped
 from jaxid.robots.file_step import beyond_its_step
 from jaxid.robots.floating import floating, refuse_unmeasured, wanted
-from jaxid.robots.free_joints import beside_free_joints, with_free_joints
 from jaxid.robots.followers import drives_led, led, outputs_led
+from jaxid.robots.free_joints import with_free_joints
+from jaxid.robots.ground import Ground
 from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.recorded_joints import held_at, POSE as POSE, refuse_unknown
 from jaxid.robots.tree import Coupling, Tree
@@ -303,18 +304,8 @@ def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
     tree, _ = led(tree, dataset)
     dataset = with_free_joints(dataset, tree)
     dataset = with_rates(dataset, tree)
-    dataset = free_of_contact(dataset, tree, _stepped(model, tree, dataset))
+    dataset = free_of_contact(dataset, tree, stepped(model, tree, dataset))
     return model, with_base(dataset, tree)
-
-
-def _stepped(robot: Any, tree: Tree, dataset: Dataset) -> bool:
-    """Whether a robot is simulated in MuJoCo's steps, as far as its drive is stated yet."""
-    try:
-        goals = driven_by(tree.driven, dataset) == "goal"
-        law = _law(tree, dataset) if goals else None
-    except UsageError:  # is said by who needs the drive
-        return False
-    return simulator_of(robot, tree, law, dataset.model) == "mujoco"
 
 
 def _beyond_an_arm(path: str, dataset: Dataset) -> Any:
@@ -348,9 +339,9 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
     if not (what or free):
         raise UsageError(without_drive(tree.driven[0], dataset))
     riding = rides(dataset) and bool(what)
-    law = _law(tree, dataset) if what == "goal" else None
+    law = law_of(tree, dataset) if what == "goal" else None
     simulator = simulator_of(robot, tree, law, spec)
-    ground = ground_of(dataset, tree) if simulator == "mujoco" and not riding else None
+    ground = _ground(tree, dataset, simulator) if not riding else None
     out = type(robot)(tree, driven=False, rides=riding, simulator=simulator, ground=ground)
     if law is not None:
         out = out.driven_by(law)
@@ -368,27 +359,11 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
     return Chain(out, signature=signature, smoothing_velocity=smoothing)
 
 
-def _law(tree: Tree, dataset: Dataset) -> DriveLaw:
-    """The law under which goals drive: that of the dataset, else that of the file."""
-    first = (dataset.split("fit") or dataset.experiments)[0]
-    period = float(np.median(np.diff(first.t)))
-
-    def of(joints: list[str]) -> DriveLaw:
-        if dataset.controller is None:
-            return file_law(tree, joints)
-        return stated_law(dataset.controller, joints, period)
-
-    return beside_free_joints(tree, dataset, of)
-
-
-def simulator_of(robot: Any, tree: Tree, law: DriveLaw | None, spec: ModelSpec | None) -> str:
-    """Whose steps simulate a robot: those that the dataset states, else under goals the file's own
-    where they are known.
-    """
-    if spec is not None and spec.simulator is not None:
-        return spec.simulator
-    goals_by_its_steps = law is not None and not beyond_its_step(tree, law)
-    return "mujoco" if robot.integrator or goals_by_its_steps else "own"
+def _ground(tree: Tree, dataset: Dataset, simulator: str) -> Ground | None:
+    """What touches planes where that is asked for, in MuJoCo's steps."""
+    if simulator != "mujoco" or not asked_for_contacts(dataset):
+        return None
+    return ground_of(dataset, tree)
 
 
 def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:

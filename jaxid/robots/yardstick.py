@@ -52,7 +52,7 @@ def _row(binding: Any, found: Mapping[int, Any], i: int, tree: Tree | None) -> d
     if tree is not None and place in tree.links:
         link = place
     if tree is not None and place not in tree.joints:
-        joint = tree.joints[tree.links.index(place)]
+        joint = tree.joints[tree.links.index(place)] if place == link else ""  # "": of a shape
     text = (
         f"{kind.replace('_', ' ')} of {place or binding.chain.mechanism.name}: {fitted:.4g}"
         f" {estimate.unit}, stated {value:.4g}"
@@ -161,7 +161,7 @@ def as_it_stands(binding: Any) -> tuple[np.ndarray, str]:
             theta,
             f"the file as it stands{', under the stated law' if mechanism.drive_law else ''}",
         )
-    law = file_law(tree)
+    law = file_law(tree, tree.leading)
     for field, values in law.numbers.items():
         for joint, value in zip(joints, values, strict=True):
             theta[binding.layout.index(f"{field}@{joint}")] = value

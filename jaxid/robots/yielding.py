@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -89,7 +89,7 @@ class Yielding(Staged):
     def told_by_torque(self, q, beside):
         if self.ground is None:
             return super().told_by_torque(q, beside)
-        ground, ready = self.ground, self.prepare(None)
+        ground, ready = self.ground, cast(Yielding, self.prepare(None))
         with float64():
             least = jax.vmap(lambda x: jnp.min(distances_of(ground, ready.tree_pose(x))))(q)
         near = np.flatnonzero(np.asarray(least) <= 0)

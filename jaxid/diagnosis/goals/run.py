@@ -59,14 +59,10 @@ def dear(binding: Binding) -> bool:
 
 
 def led(chain: Chain) -> bool:
-    """Whether goals drive a model through a law, with every joint measured and nothing that
-    touches: what pushes there is not told by the motion.
-    """
+    """Whether goals drive a model through a law, with every joint measured."""
     law = getattr(chain.mechanism, "drive_law", None)
-    touches = getattr(chain.mechanism, "ground", None) is not None
     return (
         law is not None
-        and not touches
         and law.kind != "pid"
         and not chain.mechanism.hidden_states
         and all_read(chain)
