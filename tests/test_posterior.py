@@ -56,6 +56,20 @@ def test_a_linear_problem_has_the_posterior_of_the_textbook():
     )
 
 
+def test_progress_counts_the_warm_up_and_says_what_it_does():
+    rng = np.random.default_rng(3)
+    A, told = rng.normal(size=(40, 3)), []
+    y = A @ [1.0, -0.3, 4.0]
+    with float64():
+        box = Box.about(np.full(3, -9.0), np.full(3, 9.0), np.zeros(3), A.T @ A)
+        sample(
+            linear, box, (jnp.asarray(A), jnp.asarray(y)), SHORT, progress=lambda *t: told.append(t)
+        )
+    total = SHORT.chains * (SHORT.warmup + SHORT.draws)
+    assert told[0][:3] == ("posterior", 0, total) and told[0][3].startswith("compiling")
+    assert told[-1] == ("posterior", total, total, f"{total} of {total} draws")
+
+
 @pytest.mark.parametrize("bounds", [(0.0, 50.0), (0.0, np.inf)])
 def test_a_number_at_its_bound_has_half_a_normal_distribution(bounds):
     lower, upper = bounds

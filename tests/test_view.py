@@ -341,6 +341,24 @@ def test_numbers_become_known_as_the_motion_goes_on(recorded, tmp_path):
     assert not none["enough"]
 
 
+@BROWSED
+@pytest.mark.timeout(600)
+def test_a_recording_that_has_ended_is_drawn_and_said_to_have_ended(recorded, tmp_path):
+    watcher = Watcher(recorded / "data")
+    assert watcher.rows() == {}, "nothing was looked at yet"
+    watcher.look()
+    assert [*watcher.rows()] == ["tau", "q"]
+    watcher.begin()
+    try:
+        with served(watch_site(watcher)) as address, Chromium(tmp_path, DESKTOP) as browser:
+            browser.open(address)
+            browser.wait("document.querySelectorAll('#plots .bk-GridPlot').length === 1")
+            said = browser.evaluate("document.getElementById('said').textContent")
+    finally:
+        watcher.stop()
+    assert said.startswith("The recording has ended")
+
+
 def servo_rows(folder: Path, q: np.ndarray) -> None:
     """The rows of a servo that is only watched, as they lie on disk while it is recorded."""
     columns = (Column("q1", "rad", "output", 1.5e-3), Column("current1", "A", "input"))

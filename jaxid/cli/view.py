@@ -77,8 +77,8 @@ def watch(folder, model, known, port, open_) -> int:
     """Show a recording while it is made.
 
     FOLDER is the --out of `jaxid record`. Shows the channels, how far they moved, what `jaxid
-    check` finds, which numbers are known by now, and says when it is enough. Ctrl-C ends it, and
-    nothing of the recording.
+    check` finds, which numbers are known by now, and says when it is enough. Of a recording
+    that has ended it shows the last run. Ctrl-C ends it, and nothing of the recording.
     """
     required("bokeh")
     required("tornado")

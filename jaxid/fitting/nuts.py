@@ -141,12 +141,16 @@ def sample(
     blackjax = needed("blackjax")
     size = int(box.centre.shape[0])
 
+    def count_step(*_: Any) -> None:
+        jax.debug.callback(counter.stepped)
+
     def warm(key: Array, begin: Array, box: Box, data: Any) -> Any:
         adaptation = blackjax.window_adaptation(
             blackjax.nuts,
             lambda w: density(w, box, data),
             is_mass_matrix_diagonal=False,
             target_acceptance_rate=ACCEPTED,
+            adaptation_info_fn=count_step,
         )
         (state, tuned), _ = adaptation.run(key, begin, sampling.warmup)
         return state, tuned["step_size"], tuned["inverse_mass_matrix"]
@@ -170,7 +174,8 @@ def sample(
         return jax.lax.scan(one, state, jax.random.split(key, BLOCK))
 
     blocks = -(-sampling.draws // BLOCK)
-    counter = _Counter(progress, sampling.chains, blocks)
+    counter = _Counter(progress, sampling, blocks)
+    counter.tell()
     with float64():
         keys = jax.random.split(jax.random.key(seed), sampling.chains)
         start = jnp.zeros(size)
@@ -226,14 +231,21 @@ def _side_by_side(
 
 
 class _Counter:
-    """How far all chains are; one that finds it stopped ends with its block."""
+    """How far all chains are, counted in draws, those of the warm-up too; a chain that finds it
+    stopped ends with its block.
+    """
 
-    def __init__(self, progress: Progress | None, chains: int, blocks: int):
-        self._progress, self._chains = progress, chains
-        self._total = chains * blocks
-        self._warm, self._drawn = 0, 0
+    def __init__(self, progress: Progress | None, sampling: Sampling, blocks: int):
+        self._progress, self._chains = progress, sampling.chains
+        self._total = sampling.chains * (sampling.warmup + blocks * BLOCK)
+        self._warm, self._made = 0, 0
         self._lock = Lock()
         self.stopped = False
+
+    def stepped(self) -> None:
+        """Counts a draw of a warm-up."""
+        with self._lock:
+            self._made += 1
 
     def warmed(self) -> None:
         with self._lock:
@@ -242,7 +254,7 @@ class _Counter:
 
     def drew(self) -> None:
         with self._lock:
-            self._drawn += 1
+            self._made += BLOCK
         self._go_on()
 
     def _go_on(self) -> None:
@@ -252,7 +264,12 @@ class _Counter:
     def tell(self) -> None:
         if self._progress is None:
             return
-        said = ""
+        self._progress("posterior", self._made, self._total, self._doing())
+
+    def _doing(self) -> str:
+        if self._made == 0:
+            return "compiling, and finding where each chain begins"
         if self._warm < self._chains:
-            said = f"{self._warm} of {self._chains} chains have warmed up"
-        self._progress("posterior", self._drawn, self._total, said)
+            warming = f"{self._warm} of {self._chains} chains have warmed up"
+            return f"{warming} (their first draws are not kept)"
+        return f"{self._made} of {self._total} draws"

@@ -45,6 +45,7 @@ class Watcher:
     def __init__(self, folder: Path, model: str | None = None, known: float = KNOWN):
         self.folder, self.model, self.known = folder, model, known
         self._found: dict[str, Any] = {}
+        self._ended: Dataset | None = None
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._look_on, name="jaxid-watch", daemon=True)
 
@@ -56,10 +57,12 @@ class Watcher:
         self._stop.set()
 
     def rows(self) -> dict[str, tuple[np.ndarray, np.ndarray, str]]:
-        """Channel -> time (s), values [samples], unit: of the run that is being written."""
+        """Channel -> time (s), values [samples], unit: of the run that is being written, or of the
+        last one of a recording that has ended.
+        """
         place = self._written()
         if place is None:
-            return {}
+            return {} if self._ended is None else last_run(self._ended)
         found = {}
         began = None
         for content in read_about(place)["streams"]:
@@ -87,6 +90,7 @@ class Watcher:
             data = self._dataset()
         except (DatasetError, UsageError, OSError) as error:
             return {"state": _state(recording), "waiting": _waiting(error, recording)}
+        self._ended = None if recording else data
         seconds = float(data.experiments[-1].t[-1] - data.experiments[-1].t[0])
         answer: dict[str, Any] = {
             "state": _state(recording),
@@ -149,6 +153,18 @@ def _waiting(error: Exception, recording: bool) -> str:
         return one_line(error)
     still = listed(list(dict.fromkeys(one_line(f.channel) for f in found)))
     return f"{still} did not move so far: numbers are known from motion alone"
+
+
+def last_run(data: Dataset) -> dict[str, tuple[np.ndarray, np.ndarray, str]]:
+    """Channel -> time (s), values [samples], unit: of the last run, in at most `DRAWN` samples."""
+    run = data.experiments[-1]
+    step = max(1, -(-len(run) // DRAWN))
+    t = run.t[::step] - run.t[0]
+    found = {}
+    for channels, columns in ((data.inputs, run.u), (data.outputs, run.y)):
+        for channel, values in zip(channels, columns.T, strict=True):
+            found[channel.name] = t, values[::step], channel.unit
+    return found
 
 
 def excitation(data: Dataset) -> list[dict[str, Any]]:

@@ -2,7 +2,7 @@
 // A recording while it is made: channels as they come, and what the last look at them found.
 const said = document.getElementById("said");
 const told = document.getElementById("told");
-let drawn = false;
+let drawn = "";  // names of the channels that are drawn
 
 async function ask(name) {
   const found = await (await fetch(name)).json();
@@ -31,15 +31,18 @@ function table(caption, heads, rows) {
 }
 
 async function channels() {
-  if (!drawn) {
+  const found = await ask("channels");
+  const names = Object.keys(found).join("\n");
+  if (!names) return;
+  if (names !== drawn) {
     const {item} = await ask("plots");
     if (item === null) return;
     document.getElementById("plots").replaceChildren();
     await Bokeh.embed.embed_item(item, "plots");
-    drawn = true;
+    drawn = names;
     return;
   }
-  for (const [name, columns] of Object.entries(await ask("channels")))
+  for (const [name, columns] of Object.entries(found))
     for (const shown of Bokeh.documents) {
       const source = shown.get_model_by_name(name);
       if (source) source.data = columns;
