@@ -207,7 +207,14 @@ def rollout(text: str, data: jaxid.Dataset, **numbers: float) -> tuple[np.ndarra
     return lane[: len(data.experiments[0])], list(binding.layout.names)
 
 
-@pytest.mark.parametrize("sole", SOLES)
+@pytest.mark.parametrize(
+    "sole",
+    [
+        "capsule",
+        pytest.param("sphere", marks=pytest.mark.slow),
+        pytest.param("box", marks=pytest.mark.slow),
+    ],
+)
 def test_a_leg_hops_as_it_does_in_mujoco(sole):
     integrator = {"sphere": "Euler", "capsule": "implicitfast", "box": "RK4"}[sole]
     text = LEG.format(shape=SOLES[sole], integrator=integrator)
