@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -14,6 +16,8 @@ from hypothesis import given, settings, strategies as st
 import jaxid
 from jaxid.base.errors import UsageError
 from jaxid.cli.app import cli
+from jaxid.cli.excite import how_to_play
+from jaxid.cli.record import record
 from jaxid.data.limits import Limits
 from jaxid.dynamics.base_parameters import torque_columns
 from jaxid.excitation.bounds import bounds_of, KNOWN
@@ -409,3 +413,34 @@ def test_what_does_not_fit_is_refused(arguments, words):
 def test_a_floor_that_cannot_be_kept():
     with pytest.raises(UsageError, match="--floor"):
         excite("ur10", starts=4, iterations=50, floor=1.2, seed=1)
+
+
+@pytest.mark.parametrize(
+    ("columns", "device", "kind", "joints"),
+    [
+        ("t,tau,current_cmd", "dynamixel --port PORT --id 1 --mode current", "current", 1),
+        ("t,q1_cmd,q2_cmd", "dynamixel --port PORT --id 1 --id 2 --mode position", "position", 2),
+        ("t," + ",".join(f"q{k}_cmd" for k in range(1, 7)), "ur10 --host HOST", "position", 6),
+    ],
+)
+def test_the_command_that_plays_a_design_runs_as_printed(tmp_path, columns, device, kind, joints):
+    plan = tmp_path / "plan"
+    plan.mkdir()
+    rows = [",".join(["0"] * (1 + columns.count(","))), ",".join(["1"] * (1 + columns.count(",")))]
+    (plan / "trajectory.csv").write_text("\n".join([columns, *rows]))
+    said = how_to_play(plan)
+    assert said == f"play it with: jaxid record {device} --play {plan} --out {plan}_run"
+    _, name, *words = shlex.split(said.partition("jaxid ")[2])
+    command = record.get_command(click.Context(record), name)
+    taken = command.make_context(name, words).params
+    mode = taken.get("mode", "position")
+    assert mode == kind
+    path = Path(taken["play"]) / "trajectory.csv"
+    assert Trajectory.read(path, joints, mode).values.shape == (2, joints)
+
+
+def test_a_design_that_no_device_plays_says_what_to_do(tmp_path):
+    (tmp_path / "trajectory.csv").write_text("t,tau\n0,0\n")
+    assert "give --gain" in how_to_play(tmp_path)
+    (tmp_path / "trajectory.csv").write_text("t,shoulder_cmd\n0,0\n")
+    assert "play trajectory.csv yourself" in how_to_play(tmp_path)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,12 @@ if TYPE_CHECKING:
     from jaxid.data.limits import Limits
     from jaxid.diagnosis.result import Diagnosis
     from jaxid.excitation.result import Excitation
+
+
+#: What a device is commanded by, and what its columns are called, in the order of preference.
+PLAYED = {"current": "current", "position": "q", "velocity": "qd"}
+#: Joints of a UR, which plays positions.
+OF_A_UR = 6
 
 
 def _numbers(_ctx, param, value: str | None) -> list[float] | None:
@@ -251,8 +258,30 @@ def excitation_text(made: Excitation, out: Path | None) -> str:
             " base's plane"
         )
     parts += [f"note: {n}" for n in c["notes"]]
-    parts += [] if out is None else [f"written to {out}; play it with: jaxid record … --play {out}"]
+    if out is not None:
+        parts.append(f"written to {out}; {how_to_play(out)}")
     return "\n".join(parts)
+
+
+def how_to_play(out: Path) -> str:
+    """What plays the path of a design that was written to a folder: the command of a device that
+    takes its columns, whose own words are in capitals.
+    """
+    with (out / "trajectory.csv").open(encoding="utf-8") as file:
+        names = file.readline().strip().split(",")
+    for mode, stem in PLAYED.items():
+        wanted = re.compile(rf"{stem}\d*_cmd")
+        count = sum(bool(wanted.fullmatch(name)) for name in names)
+        if not count:
+            continue
+        device = "ur10 --host HOST"
+        if mode != "position" or count != OF_A_UR:
+            servos = " ".join(f"--id {k + 1}" for k in range(count))
+            device = f"dynamixel --port PORT {servos} --mode {mode}"
+        return f"play it with: jaxid record {device} --play {out} --out {out}_run"
+    if "tau" in names:
+        return "a servo plays it as currents: give --gain, the torque per ampere of its drive"
+    return "no device of jaxid record has joints of these names: play trajectory.csv yourself"
 
 
 def design_next(diagnosis: Diagnosis, out: Path, limits: Limits | None, silent: bool) -> None:
@@ -268,7 +297,4 @@ def design_next(diagnosis: Diagnosis, out: Path, limits: Limits | None, silent: 
         terminal.complain(f"--next: {error}")
         return
     if not silent:
-        terminal.say(
-            f"{made.content['notes'][-1]}\nwritten to {out}; play it with: jaxid record … --play"
-            f" {out}"
-        )
+        terminal.say(f"{made.content['notes'][-1]}\nwritten to {out}; {how_to_play(out)}")
