@@ -22,6 +22,7 @@ from jaxid.report.carry import values_to_write
 from jaxid.report.display import write
 from jaxid.report.identified import base_rows
 from jaxid.report.missing_force import draw_spectrum, spectrum
+from jaxid.robots.contacts import NOT_SIMULATED
 from jaxid.robots.export.target import ExportRow
 from jaxid.study.page import _counted as counted
 from page_samples import identification, RESULTS, robot_under_goals
@@ -575,3 +576,20 @@ def test_what_is_left_is_drawn_where_something_was_supplied():
         axes = Figure().add_subplot()
         draw_spectrum(axes, replace(force, after=after))
         assert len(axes.get_lines()) == lines
+
+
+def test_what_was_left_out_of_runs_is_said_first(tmp_path):
+    """Of the result that stands on parts of its runs, before what was found in them."""
+    note = f"shapes of arm.xml {NOT_SIMULATED}: left out of run_1 (foot touches floor after 2 s)"
+    found = replace(sample_diagnosis(), notes=(note,))
+    said = text.diagnosis_text(found)
+    assert said.index("LEFT OUT") < said.index("WHERE")
+    page = diagnosis_page(found)
+    assert page.index("Shapes of arm.xml touch") < page.index("Where is the simulator wrong?")
+    assert "LEFT OUT" not in text.diagnosis_text(sample_diagnosis())
+
+
+def test_ranges_to_write_have_as_many_digits_as_numbers():
+    limits = [-22.12847087521902, 22.12847087521902]
+    row = ExportRow("torque_scale", "j2", "forcerange", limits, "N m", "exact", "")
+    assert carry.change(row).value == "[-22.13, 22.13]\u00a0N\u00a0m"

@@ -62,6 +62,7 @@ def section(diagnosis: Diagnosis) -> Section:
         {
             "diagnosis": diagnosis,
             "headline": headline(diagnosis),
+            "left_out": text.left_out_sentences(diagnosis.notes),
             "stated": text.stated_sentences(diagnosis.final.stated, which.effects),
             "where": cards["where"].shown,
             "which": cards["which"].shown,

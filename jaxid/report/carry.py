@@ -144,4 +144,6 @@ def _together(value: str) -> str:
 def _value(value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{name} {_value(one)}" for name, one in value.items())
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]"
     return wording.number(value, 4) if isinstance(value, float) else str(value)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TYPE_CHECKING
 
 from jaxid.base.wording import (
@@ -27,6 +27,7 @@ from jaxid.report.budget_text import budget_sentence
 from jaxid.report.effect_text import alike_words, effect_name, lacks, meaning
 from jaxid.report.other_numbers import first_of_all
 from jaxid.report.posterior_text import posterior_lines
+from jaxid.robots.contacts import NOT_SIMULATED
 
 
 if TYPE_CHECKING:
@@ -279,6 +280,11 @@ COMPARED = {
 }
 
 
+def left_out_sentences(notes: Iterable[str]) -> list[str]:
+    """Notes that say which parts of the runs were not looked at, as sentences."""
+    return [sentence(one_line(note)) for note in notes if NOT_SIMULATED in note]
+
+
 def diagnosis_text(diagnosis: Diagnosis) -> str:
     """About ten lines: where, which, how far, what next."""
     which, how_far = diagnosis.which, diagnosis.how_far
@@ -290,6 +296,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
             f"{one_line(diagnosis.dataset)}, model"
             f" {one_line(diagnosis.model)}{COMPARED.get(diagnosis.final.simulation, '')}"
         ),
+        paragraph("LEFT OUT", left_out_sentences(diagnosis.notes)),
         joint_table(how_far.per_joint),
         paragraph("FIRST", [budget_sentence(diagnosis)]),
         paragraph("STATED", stated_sentences(diagnosis.final.stated, diagnosis.which.effects)),

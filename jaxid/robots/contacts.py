@@ -25,6 +25,8 @@ from jaxid.robots.recorded_joints import held_at
 from jaxid.robots.tree import Tree
 
 
+#: Words of the note that says which parts of runs do not count.
+NOT_SIMULATED = "touch, and such contacts are not simulated"
 #: Samples beside a contact that do not count: noise of the sensors moves where it begins and ends.
 #: A part also knows its first ones, from which a late command acts.
 GUARD = GUARD_SAMPLES
@@ -98,7 +100,7 @@ def free_of_contact(dataset: Dataset, tree: Tree, stepped: bool) -> Dataset:
             " contacts = false where the machine touches nothing"
         )
     note = (
-        f"shapes of {tree.file} touch, and such contacts are not simulated: left out of"
+        f"shapes of {tree.file} {NOT_SIMULATED}: left out of"
         f" {listed(said)}"
         " (where the machine touches nothing, state [model] contacts = false)"
     )
