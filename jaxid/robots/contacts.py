@@ -100,8 +100,7 @@ def free_of_contact(dataset: Dataset, tree: Tree, stepped: bool) -> Dataset:
             " contacts = false where the machine touches nothing"
         )
     note = (
-        f"shapes of {tree.file} {NOT_SIMULATED}: left out of"
-        f" {listed(said)}"
+        f"shapes of {tree.file} {NOT_SIMULATED}: left out of {listed(said)}"
         " (where the machine touches nothing, state [model] contacts = false)"
     )
     return replace(dataset, experiments=tuple(kept), notes=(*dataset.notes, note))
@@ -168,7 +167,8 @@ def _shapes(text: str, file: str) -> Shapes | None:
         return None
     names = {g.name for g in shapes}
     pairs = [p for p in spec.pairs if {p.geomname1, p.geomname2} <= names]
-    room = 0.0 if any(g.margin or g.gap for g in [*shapes, *pairs]) else NEAR
+    # A pair of its own has a margin of its own.
+    room = 0.0 if pairs or any(g.margin or g.gap for g in shapes) else NEAR
     for geom in shapes:
         geom.material = ""
         if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
