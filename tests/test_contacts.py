@@ -226,15 +226,6 @@ def test_a_leg_hops_as_it_does_in_mujoco(sole):
     assert np.max(np.abs(slippery - q)) > 1e-3
 
 
-def test_joints_without_an_actuator_move_freely():
-    text = LEG.format(shape=SOLES["sphere"], integrator="Euler")
-    data, _ = hopping(text)
-    _, read = prepared(Robot.from_mjcf("leg.xml", text=text), data)
-    assert read.input_names == ["hip_cmd", "knee_cmd", "along_cmd", "up_cmd"]
-    assert not np.any(read.experiments[0].u[:, 2:])
-    assert any("along and up" in note and "moves freely" in note for note in read.notes)
-
-
 def test_a_diagnosis_says_that_it_simulates_no_contact():
     text = LEG.format(shape=SOLES["sphere"], integrator="Euler")
     data, _ = hopping(text)
