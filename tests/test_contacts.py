@@ -84,6 +84,7 @@ def test_what_the_simulator_of_its_file_touches_does_not_count():
     assert f"run_1 (ball touches floor after {first * STEP:.3g} s" in data.notes[-1]
 
 
+@pytest.mark.slow
 def test_parts_between_contacts_are_fitted_with_what_is_known_before_them():
     """A delay acts at the beginning of a part, too: its damping and its delay come back."""
     data, _ = prepared_by(file())
@@ -226,6 +227,7 @@ def test_a_leg_hops_as_it_does_in_mujoco(sole):
     assert np.max(np.abs(slippery - q)) > 1e-3
 
 
+@pytest.mark.slow
 def test_a_diagnosis_says_that_it_simulates_no_contact():
     text = LEG.format(shape=SOLES["sphere"], integrator="Euler")
     data, _ = hopping(text)

@@ -432,6 +432,7 @@ def test_the_command_that_plays_a_design_runs_as_printed(tmp_path, columns, devi
     assert said == f"play it with: jaxid record {device} --play {plan} --out {plan}_run"
     _, name, *words = shlex.split(said.partition("jaxid ")[2])
     command = record.get_command(click.Context(record), name)
+    assert command is not None
     taken = command.make_context(name, words).params
     mode = taken.get("mode", "position")
     assert mode == kind
