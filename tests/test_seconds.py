@@ -133,3 +133,20 @@ def test_the_command_keeps_to_its_time(tmp_path, capsys):
     few = ["--effects", "input_delay", "--max-effects", "1", "--seconds", "3600"]
     assert main([*arguments, *few]) == 0
     assert json.loads(capsys.readouterr().out)["complete"] is True
+
+
+def test_time_that_is_over_before_the_work_begins_interrupts_the_work_alone(monkeypatch):
+    """A busy machine may take longer to begin than the time that was given."""
+
+    class Late(threading.Timer):
+        def start(self):
+            super().start()
+            time.sleep(0.05)
+
+    def work():
+        while True:
+            time.sleep(0.001)
+
+    monkeypatch.setattr("jaxid.base.deadline.threading.Timer", Late)
+    with pytest.raises(jaxid.UsageError, match="nothing was known yet"):
+        answered_in_time(1e-3, work)

@@ -32,6 +32,9 @@ class Deadline:
     """
 
     def __init__(self, seconds: float):
+        """Raises `UsageError` for a time that is not above 0."""
+        if not seconds > 0:
+            raise UsageError(f"{seconds:g} seconds are none; give a time above 0, such as 60")
         self.seconds = seconds
         self.began = time.monotonic()
         self.passed = False
@@ -54,38 +57,35 @@ def search_is_over() -> bool:
 
 
 @contextmanager
-def deadline(seconds: float | None) -> Iterator[Deadline | None]:
-    """Interrupts what is inside after this many seconds, as Ctrl-C would: by a `KeyboardInterrupt`
-    in the thread that entered, as soon as it runs Python. A program that is being compiled or run
-    is waited for. None: no limit.
-
-    Raises `UsageError` for a time that is not above 0.
+def deadline(ends: Deadline | None) -> Iterator[None]:
+    """Interrupts what is inside after its seconds, as Ctrl-C would: by a `KeyboardInterrupt` in the
+    thread that entered, as soon as it runs Python. A program that is being compiled or run is
+    waited for. None: no limit.
     """
-    if seconds is None:
-        yield None
+    if ends is None:
+        yield
         return
-    if not seconds > 0:
-        raise UsageError(f"{seconds:g} seconds are none; give a time above 0, such as 60")
-    ends = Deadline(seconds)
-    inside = threading.Event()
+    entered, inside = threading.Event(), threading.Event()
     inside.set()
     lock = threading.Lock()
     thread = ctypes.c_ulong(threading.get_ident())
 
     def interrupt() -> None:
+        entered.wait()  # or it would be raised where nobody expects it
         with lock:
             if inside.is_set():
                 ends.passed = True
                 interruption = ctypes.py_object(KeyboardInterrupt)
                 ctypes.pythonapi.PyThreadState_SetAsyncExc(thread, interruption)
 
-    timer = threading.Timer(seconds, interrupt)
+    timer = threading.Timer(ends.seconds, interrupt)
     timer.daemon = True
     timer.start()
     token = _deadline.set(ends)
     heard = False
     try:
-        yield ends
+        entered.set()
+        yield
     except KeyboardInterrupt:
         heard = True
         raise
@@ -112,9 +112,9 @@ def answered_in_time(seconds: float | None, answer: Callable[[], T]) -> T:
     """The answer, a dataclass with `complete` and `notes`; after this many seconds what is known by
     then, with `complete` false. Raises `UsageError` where nothing is known yet.
     """
-    ends = None
+    ends = None if seconds is None else Deadline(seconds)
     try:
-        with deadline(seconds) as ends:
+        with deadline(ends):
             found = answer()
     except KeyboardInterrupt as stop:
         if ends is None or not ends.passed:
