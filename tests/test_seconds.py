@@ -12,7 +12,13 @@ from typing import Any, cast
 
 import pytest
 
-from jaxid.base.deadline import answered_in_time, deadline, search_is_over, share_of_time
+from jaxid.base.deadline import (
+    answered_in_time,
+    Deadline,
+    deadline,
+    search_is_over,
+    share_of_time,
+)
 from jaxid.base.errors import UsageError
 from jaxid.base.stopping import Interrupted
 from jaxid.cli.app import main
@@ -37,9 +43,10 @@ def busy(seconds: float) -> None:
 
 def test_what_is_inside_is_interrupted_where_it_runs_python():
     began = time.monotonic()
-    with pytest.raises(KeyboardInterrupt), deadline(0.1) as ends:
+    ends = Deadline(0.1)
+    with pytest.raises(KeyboardInterrupt), deadline(ends):
         busy(20.0)
-    assert ends is not None and ends.passed
+    assert ends.passed
     assert time.monotonic() - began < 10.0
 
 
@@ -48,7 +55,7 @@ def test_in_another_thread_that_thread_alone_is_interrupted():
 
     def work():
         try:
-            with deadline(0.1):
+            with deadline(Deadline(0.1)):
                 busy(20.0)
         except KeyboardInterrupt:
             heard.append(threading.current_thread())
@@ -63,7 +70,7 @@ def test_in_another_thread_that_thread_alone_is_interrupted():
 def test_no_interruption_comes_after_the_end(length):
     for _ in range(5):
         try:
-            with deadline(0.02):
+            with deadline(Deadline(0.02)):
                 busy(length)
         except KeyboardInterrupt:
             pass
@@ -72,8 +79,9 @@ def test_no_interruption_comes_after_the_end(length):
 
 def test_a_search_has_its_share_of_the_time():
     assert not search_is_over()
-    with deadline(1.0) as ends:
-        assert ends is not None and not search_is_over() and not ends.search_was_cut
+    ends = Deadline(1.0)
+    with deadline(ends):
+        assert not search_is_over() and not ends.search_was_cut
         ends.began -= 0.9
         assert search_is_over() and ends.search_was_cut
     assert not search_is_over()
@@ -87,8 +95,9 @@ def test_a_search_asks_nothing_more_then():
     )
     searcher = SimpleNamespace(fits=fits, tried={}, _cut_short=False)
     goes_on = cast(Any, Searcher._goes_on)
-    with deadline(1.0) as ends:
-        assert ends is not None and goes_on(searcher)
+    ends = Deadline(1.0)
+    with deadline(ends):
+        assert goes_on(searcher)
         ends.began -= 0.9
         assert goes_on(searcher)  # the first effects are asked in any case
         searcher.tried = {"an effect": "its fit"}
@@ -148,5 +157,5 @@ def test_time_that_is_over_before_the_work_begins_interrupts_the_work_alone(monk
             time.sleep(0.001)
 
     monkeypatch.setattr("jaxid.base.deadline.threading.Timer", Late)
-    with pytest.raises(jaxid.UsageError, match="nothing was known yet"):
+    with pytest.raises(UsageError, match="nothing was known yet"):
         answered_in_time(1e-3, work)
