@@ -353,10 +353,10 @@ def test_a_recording_that_has_ended_is_drawn_and_said_to_have_ended(recorded, tm
         with served(watch_site(watcher)) as address, Chromium(tmp_path, DESKTOP) as browser:
             browser.open(address)
             browser.wait("document.querySelectorAll('#plots .bk-GridPlot').length === 1")
-            said = browser.evaluate("document.getElementById('said').textContent")
+            said = "document.getElementById('said').textContent"
+            browser.wait(f"{said}.startsWith('The recording has ended')")
     finally:
         watcher.stop()
-    assert said.startswith("The recording has ended")
 
 
 def servo_rows(folder: Path, q: np.ndarray) -> None:
