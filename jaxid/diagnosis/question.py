@@ -71,7 +71,7 @@ class DiagnosisQuestion:
         """Raises `UsageError` where an effect that is named cannot be a candidate, and where
         contacts are simulated.
         """
-        if getattr(self.nominal.mechanism, "ground", None) is not None:
+        if self.nominal.mechanism.ground is not None:
             raise UsageError(TOUCHES)
         check_asked(self.nominal, self.asked or (), self.residual_name)
 

@@ -149,6 +149,8 @@ class Mechanism(eqx.Module):
     hidden_states: ClassVar[bool] = False
     #: How it is stepped: an integrator of `jaxid.dynamics.mujoco_step`, "" by its own best step.
     integrator: ClassVar[str] = ""
+    #: What it touches (a `jaxid.robots.ground.Ground`), where contacts are simulated.
+    ground: ClassVar[Any] = None
     #: Effects that have more numbers on this mechanism: id of the effect -> a class of the same
     #: name.
     variants: ClassVar[dict[str, type]] = {}

@@ -301,7 +301,7 @@ class _SeedRun:
 
 def touches(binding: Binding) -> bool:
     """Whether contacts are simulated."""
-    return getattr(binding.chain.mechanism, "ground", None) is not None
+    return binding.chain.mechanism.ground is not None
 
 
 class ProblemBuilders:

@@ -18,7 +18,15 @@ from jaxid.base.wording import listed
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.data.splits import GUARD_SAMPLES
 from jaxid.robots.ground import Ground
-from jaxid.robots.ground_points import kind_of, NEAR, Pair, PairContact, points_of, simulated
+from jaxid.robots.ground_points import (
+    kind_of,
+    name_of,
+    NEAR,
+    Pair,
+    PairContact,
+    points_of,
+    simulated,
+)
 from jaxid.robots.mjcf_spec import compiled, drop_all, library, parsed, plain
 from jaxid.robots.mjcf_ties import without_tendons
 from jaxid.robots.recorded_joints import held_at
@@ -232,13 +240,5 @@ def _touching(
                 landed = landed or acts
             elif acts:
                 found[k : k + step] = True
-                between = between or f"{_name(model, pair[1])} touches {_name(model, pair[0])}"
+                between = between or f"{name_of(model, pair[1])} touches {name_of(model, pair[0])}"
     return Touching(found, between, near, landed)
-
-
-def _name(model: Any, geom: int) -> str:
-    """That of a shape, or of its body."""
-    mujoco = library()
-    own = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, int(geom))
-    body = int(model.geom_bodyid[geom])
-    return own or mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body) or "the world"

@@ -82,8 +82,10 @@ def points_of(model: Any, near: Mapping[Pair, PairContact], tree: Tree) -> Groun
         node, joint = _carrier(whole, int(model.geom_bodyid[shape]), tree)
         if node < 0:
             continue
-        name = _name(model, shape)
-        friction.setdefault(name, contact.friction[0])
+        name, own = name_of(model, shape), contact.friction[0]
+        if friction.get(name, own) != own:  # a number of its own on each plane
+            name = f"{name}_{shape}_{plane}"
+        friction[name] = own
         if name not in shapes:
             shapes.append(name)
         frame = _Frame(whole, data, joint)
@@ -195,7 +197,7 @@ def _softness(contact: PairContact, model: Any) -> Softness:
     return Softness(*own)
 
 
-def _name(model: Any, shape: int) -> str:
+def name_of(model: Any, shape: int) -> str:
     """That of a shape, or of its body."""
     mujoco = library()
     own = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, int(shape))
