@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, TYPE_CHECKING
 
 from jaxid.base.display import displays
+from jaxid.base.reader import arrays_reader
 from jaxid.base.wording import names_of
 from jaxid.data.experiment import (
     Channel as Channel,
@@ -199,9 +200,9 @@ class Dataset:
         Raises `DatasetError` with every fault; `file` is then the run's name and `row` the index
         into the array.
         """
-        from jaxid.data.reading.arrays import from_arrays
-
-        return from_arrays(t, inputs or {}, outputs or {}, auxiliary or {}, units or {}, **settings)
+        return arrays_reader().from_arrays(
+            t, inputs or {}, outputs or {}, auxiliary or {}, units or {}, **settings
+        )
 
     @classmethod
     def from_frame(
@@ -221,9 +222,7 @@ class Dataset:
         seconds. A frame is whatever gives its columns by `frame[name]` and lists them in
         `frame.columns` (pandas, polars, a pyarrow table has `column_names`).
         """
-        from jaxid.data.reading.arrays import from_frame
-
-        return from_frame(frame, inputs, outputs, auxiliary, time, **settings)
+        return arrays_reader().from_frame(frame, inputs, outputs, auxiliary, time, **settings)
 
     def plot(self, channel: str | None = None, ax: Axes | None = None) -> Axes:
         """Draws a channel (default: the first output) of every run over time, on new axes or the

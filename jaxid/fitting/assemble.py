@@ -34,6 +34,7 @@ from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import Residual
+from jaxid.problem.solver import solver_name, solver_notes
 from jaxid.robots import yardstick
 from jaxid.robots.match import is_robot
 from jaxid.robots.origin import origin
@@ -330,18 +331,3 @@ def fitted_chain(binding: Binding, theta: np.ndarray, added: Sequence[EffectEsti
         if e.name not in kept and is_candidate(binding, e.name)
     ]
     return binding.layout.model(theta).without(*gone)
-
-
-def solver_notes(binding: Binding) -> tuple[str, ...]:
-    """What is to be said of a solver that is not jaxid's own stepping."""
-    s = binding.layout.solver
-    return (
-        ()
-        if s is None
-        else (f"simulated by {s} (rtol {s.rtol:g}, atol {s.atol:g}), not by jaxid's own stepping",)
-    )
-
-
-def solver_name(binding: Binding) -> str:
-    """What simulates the runs of a binding."""
-    return "own" if binding.layout.solver is None else str(binding.layout.solver)

@@ -15,13 +15,12 @@ from jaxid.data.dataset import Dataset
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.model_file import sha256_of
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.fitting.assemble import solver_name, solver_notes
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.scores import free_runs, scored
 from jaxid.fitting.simulation import Simulation
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import bind, Binding, resolve_model
-from jaxid.problem.solver import with_solver
+from jaxid.problem.solver import solver_name, solver_notes, with_solver
 from jaxid.simulation import sample_buffers as samples
 from jaxid.simulation.animation import motion, OutlineMotion
 

@@ -38,3 +38,17 @@ def with_solver(binding: Binding, solver: Any, residual: Residual | None) -> Bin
         )
     check_smooth(binding.chain)
     return replace(binding, layout=ParameterVector(binding.layout.chain, solver))
+
+
+def solver_notes(binding: Binding) -> tuple[str, ...]:
+    """What is to be said of a solver that is not jaxid's own stepping."""
+    solver = binding.layout.solver
+    if solver is None:
+        return ()
+    errors = f"rtol {solver.rtol:g}, atol {solver.atol:g}"
+    return (f"simulated by {solver} ({errors}), not by jaxid's own stepping",)
+
+
+def solver_name(binding: Binding) -> str:
+    """What simulates the runs of a binding."""
+    return "own" if binding.layout.solver is None else str(binding.layout.solver)

@@ -4,7 +4,7 @@ out.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,8 @@ HELD = 1e6
 STEP = 1e-3
 #: Most steps of one run.
 MOST_STEPS = 50_000_000
+#: Steps that are taken in one call.
+BLOCK = 4096
 
 
 @dataclass(frozen=True)
@@ -203,34 +205,92 @@ class MujocoRobot:
             )
         inputs = _Inputs(t - t[0], u, linear)
         push = self._pusher(d, joints, dof, drive, inputs, at)
-        out, now, k = np.full((len(t), len(joints)), np.nan), 0.0, 0
+        times, k = t - t[0], 0
+        out = np.full((len(t), len(joints)), np.nan)
         before_all = mj.get_mju_user_warning()
         mj.set_mju_user_warning(lambda text: None)  # else it writes a file where it stands
         try:
-            for step in range(steps + 1):
-                now = step * dt
-                before, speed = d.qpos[at].copy(), d.qvel[dof].copy()
-                push(now)
-                mj.mj_step(m, d)
-                for place, moving, value in held:  # else it falls by a little each step
-                    d.qpos[place], d.qvel[moving] = value, 0.0
-                if _diverged(mj, d):
-                    self.notes.append(
-                        f"MuJoCo's run diverged after {now:.3g} s: a smaller timestep, or armature,"
-                        " may help"
-                    )
-                    break
-                after = d.qpos[at]
-                while k < len(t) and t[k] - t[0] < now + dt - 1e-9 * dt:
-                    out[k] = _between(
-                        before, after, speed, d.qvel[dof], (t[k] - t[0] - now) / dt, dt
-                    )
-                    k += 1
+            for begins in range(0, steps + 1, BLOCK):
+                now = np.arange(begins, min(begins + BLOCK, steps + 1)) * dt
+                states = self._advanced(d, now, push, held)
+                done = len(states) - 1
+                ends = now[:done] + dt - 1e-9 * dt
+                at_step = np.searchsorted(ends, times[k:], side="right")
+                at_step = at_step[at_step < done]
+                here = slice(k, k + len(at_step))
+                share = (times[here] - now[at_step]) / dt
+                q, qd = states[:, at], states[:, m.nq + dof]
+                first, last = at_step, at_step + 1
+                out[here] = _between(q[first], q[last], qd[first], qd[last], share, dt)
+                k = here.stop
                 if k == len(t):
+                    break
+                if done < len(now):
+                    self.notes.append(
+                        f"MuJoCo's run diverged after {now[done]:.3g} s: a smaller timestep, or"
+                        " armature, may help"
+                    )
                     break
         finally:
             mj.set_mju_user_warning(before_all)
         return out
+
+    def _advanced(
+        self,
+        d: Any,
+        now: np.ndarray,
+        push: _Pusher,
+        held: Sequence[tuple[int, int, float]],
+    ) -> np.ndarray:
+        """Positions and speeds before the first of some steps, which begin at times `now`, and
+        after each of them; fewer where the run diverges.
+        """
+        if push.ahead is not None and not held:
+            states = self._at_once(d, push.ahead(now))
+            if states is not None:
+                return states
+        mj, m = self.mj, self.model
+        states = [np.concatenate([d.qpos, d.qvel])]
+        for moment in now:
+            push.step(float(moment))
+            mj.mj_step(m, d)
+            for place, moving, value in held:  # else it falls by a little each step
+                d.qpos[place], d.qvel[moving] = value, 0.0
+            if _diverged(mj, d):
+                break
+            states.append(np.concatenate([d.qpos, d.qvel]))
+        return np.array(states)
+
+    def _at_once(self, d: Any, control: np.ndarray) -> np.ndarray | None:
+        """The same under inputs [steps ...] that are known before, in one call; None, and as it
+        was, where MuJoCo has anything to warn of.
+        """
+        from mujoco.rollout import Rollout
+
+        mj, m = self.mj, self.model
+        kinds = mj.mjtState
+        whole, kept = int(kinds.mjSTATE_INTEGRATION), int(kinds.mjSTATE_FULLPHYSICS)
+        driven = int(kinds.mjSTATE_CTRL) | int(kinds.mjSTATE_QFRC_APPLIED)
+        before = np.zeros(mj.mj_stateSize(m, whole))
+        begin = np.zeros(mj.mj_stateSize(m, kept))
+        mj.mj_getState(m, d, before, whole)
+        mj.mj_getState(m, d, begin, kept)
+        with Rollout(nthread=0) as rollout:
+            after: Any = rollout.rollout(
+                m,
+                d,
+                begin[None],
+                control[None],
+                control_spec=driven,
+                initial_warmstart=d.qacc_warmstart[None],
+            )[0]
+        if any(w.number for w in d.warning):
+            for w in d.warning:
+                w.number = 0
+            mj.mj_setState(m, d, before, whole)
+            return None
+        every = np.concatenate([begin[None], after[0]])
+        return every[:, 1 : 1 + m.nq + m.nv]  # the first is the time
 
     def gear(self, joints: Sequence[str]) -> np.ndarray:
         """The gear of each joint's actuator, 1 where it has none."""
@@ -247,10 +307,10 @@ class MujocoRobot:
         drive: Driven,
         inputs: _Inputs,
         at: np.ndarray,
-    ) -> Any:
+    ) -> _Pusher:
         mj, m = self.mj, self.model
         if drive.kind == "free":
-            return lambda now: None
+            return _Pusher(lambda now: None, lambda now: np.zeros((len(now), m.nu + m.nv)))
         if drive.kind == "law" and not self.continuous:
             assert drive.law is not None
             law = _LawRun(drive.law, inputs, float(m.opt.timestep))
@@ -258,14 +318,14 @@ class MujocoRobot:
             def by_law(now: float) -> None:
                 d.qfrc_applied[dof] = law(now, d.qpos[at], d.qvel[dof])
 
-            return by_law
+            return _Pusher(by_law)
         acts = np.array([self.actuator(j) for j in joints])
         goals = inputs
         if drive.kind == "law" and drive.law is not None:
             goals = _Goals(drive.law, inputs)
         gear = 1 / drive.reference.gear(joints) if drive.kind == "torque" else self.gear(joints)
         own = acts >= 0
-        first = gear * goals(0.0)
+        first = gear * goals(np.zeros(1))[0]
         for a, value in zip(acts[own], first[own], strict=True):
             d.ctrl[a] = value
             if m.actuator_actadr[a] >= 0:
@@ -276,11 +336,18 @@ class MujocoRobot:
                 mj.mj_initCtrlHistory(m, d, int(a), before, np.full((n, 1), value))
 
         def by_actuators(now: float) -> None:
-            value = gear * goals(now)
+            value = gear * goals(np.array([now]))[0]
             d.ctrl[acts[own]] = value[own]
             d.qfrc_applied[dof[~own]] = value[~own]
 
-        return by_actuators
+        def ahead(now: np.ndarray) -> np.ndarray:
+            value = gear * goals(now)
+            control = np.zeros((len(now), m.nu + m.nv))
+            control[:, acts[own]] = value[:, own]
+            control[:, m.nu + dof[~own]] = value[:, ~own]
+            return control
+
+        return _Pusher(by_actuators, ahead)
 
 
 def _diverged(mj: Any, d: Any) -> bool:
@@ -293,29 +360,45 @@ def _diverged(mj: Any, d: Any) -> bool:
     return any(d.warning[int(k)].number for k in kinds)
 
 
+@dataclass(frozen=True)
+class _Pusher:
+    """What drives a run: `step` before each step, at its time; `ahead` controls and forces
+    [steps nu + nv] of many steps, None where these depend on the motion.
+    """
+
+    step: Callable[[float], None]
+    ahead: Callable[[np.ndarray], np.ndarray] | None = None
+
+
 class _Inputs:
-    """Inputs at a time from the start, held between samples or linear."""
+    """Inputs [times nu] at times from the start, held between samples or linear."""
 
     def __init__(self, t: np.ndarray, u: np.ndarray, linear: Sequence[bool]):
         self.t, self.u, self.linear = t, u, np.array(linear, bool)
 
-    def __call__(self, now: float) -> np.ndarray:
-        k = int(np.clip(np.searchsorted(self.t, now + 1e-9, side="right") - 1, 0, len(self.t) - 1))
+    def __call__(self, now: np.ndarray) -> np.ndarray:
+        found = np.searchsorted(self.t, now + 1e-9, side="right") - 1
+        k = np.minimum(np.maximum(found, 0), len(self.t) - 1)
         held = self.u[k]
-        if not self.linear.any() or k + 1 >= len(self.t) or now < 0:
+        if not self.linear.any() or len(self.t) < 2:
             return held
-        share = (now - self.t[k]) / (self.t[k + 1] - self.t[k])
-        return np.where(self.linear, held + share * (self.u[k + 1] - held), held)
+        after = np.minimum(k + 1, len(self.t) - 1)
+        before = np.maximum(after - 1, 0)
+        share = (now - self.t[before]) / (self.t[after] - self.t[before])
+        sloped = held + share[:, None] * (self.u[after] - held)
+        inside = ((k < after) & (now >= 0))[:, None]
+        return np.where(self.linear & inside, sloped, held)
 
 
 class _Goals:
-    """Goals as they reach a law: late, and within its limits."""
+    """Goals [times n] as they reach a law: late, and within its limits."""
 
     def __init__(self, law: DriveLaw, inputs: _Inputs):
         self.law, self.inputs = law, inputs
 
-    def __call__(self, now: float) -> np.ndarray:
-        goal = np.array([self.inputs(now - d)[k] for k, d in enumerate(self.law.delay)])
+    def __call__(self, now: np.ndarray) -> np.ndarray:
+        late = [self.inputs(now - d)[:, k] for k, d in enumerate(self.law.delay)]
+        goal = np.stack(late, axis=1)
         return np.clip(goal, *np.array(self.law.control).T) if self.law.control else goal
 
 
@@ -334,11 +417,11 @@ class _LawRun:
     def __call__(self, now: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         law, T = self.law, self.law.period
         if T <= 0:
-            return self._output(self.goals(now) - q, -qd, self.dt)
+            return self._output(self._goal(now) - q, -qd, self.dt)
         tick = int(np.floor(now / T + 0.5 * min(1.0, self.dt / T)))
         if tick > self.tick:
             self.tick = tick
-            goal = self.goals(now)
+            goal = self._goal(now)
             last = q - T * qd if self.last is None else self.last
             before = q - 2 * T * qd if self.before is None else self.before
             old = goal if self.goal is None else self.goal
@@ -350,6 +433,9 @@ class _LawRun:
             self.held = self._output(goal - q, ((goal - old) / T if law.rate else 0.0) - speed, T)
             self.last, self.before, self.goal = q.copy(), last, goal
         return self.held
+
+    def _goal(self, now: float) -> np.ndarray:
+        return self.goals(np.array([now]))[0]
 
     def _output(self, error: np.ndarray, rate_error: np.ndarray, h: float) -> np.ndarray:
         n = self.n
@@ -365,9 +451,9 @@ class _LawRun:
 
 
 def _between(
-    q0: np.ndarray, q1: np.ndarray, v0: np.ndarray, v1: np.ndarray, share: float, dt: float
+    q0: np.ndarray, q1: np.ndarray, v0: np.ndarray, v1: np.ndarray, share: np.ndarray, dt: float
 ) -> np.ndarray:
-    """Cubic between two steps, exact at both ends."""
-    s = float(np.clip(share, 0.0, 1.0))
+    """Cubics [times joints] between two steps, exact at both ends, at their shares [times]."""
+    s = np.clip(share, 0.0, 1.0)[:, None]
     a, b = 2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s
     return a * q0 + b * dt * v0 + (1 - a) * q1 + (s**3 - s**2) * dt * v1
