@@ -39,6 +39,7 @@ from jaxid.hardware.trajectory import Trajectory
 
 SILENCE_S = 0.5  # a device that sends nothing for so long is lost
 BEAT_S = 0.01
+MORE_ROOM = "play a path that leaves it more room (`jaxid excite --limits`)"
 BUSY, SILENT = "this computer was busy", "no data"
 ARMED_S = 15.0
 
@@ -434,6 +435,7 @@ def _judge(device: Device, bounds: Limits, sample: Sample, watch: _RecordingWatc
     why = device.alarm(sample.values, watch.phase == "playing")
     if why is None and watch.moving:
         why = bounds.violation(*device.measured(sample.values))
+        why = why and f"{why}; {MORE_ROOM}"
         tracking = getattr(device, "tracking", None)
         if (
             why is None
