@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import click
@@ -18,6 +19,7 @@ from jaxid.base.errors import UsageError
 from jaxid.cli.app import cli
 from jaxid.cli.excite import how_to_play
 from jaxid.cli.record import record
+from jaxid.data.dataset import Channel, Geometry, ModelSpec
 from jaxid.data.limits import Limits
 from jaxid.dynamics.base_parameters import torque_columns
 from jaxid.excitation.bounds import bounds_of, KNOWN
@@ -415,33 +417,113 @@ def test_a_floor_that_cannot_be_kept():
         excite("ur10", starts=4, iterations=50, floor=1.2, seed=1)
 
 
+PENDULUM = ModelSpec("pendulum")
+ROBOT = ModelSpec("robot", geometry=Geometry(file="robot.xml", robot="<mujoco/>"))
+
+
+def design(columns: str, inputs: str, model: ModelSpec, gains: list[float] | None = None) -> Any:
+    """A design of 1 s by what it plays and what its model takes."""
+    channels = tuple(
+        Channel(name, "input", "N m" if name.startswith("tau") else "rad")
+        for name in inputs.split(",")
+    )
+    commands = {name: np.array([0.0, 1.0]) for name in columns.split(",")}
+    dataset = SimpleNamespace(inputs=channels, model=model)
+    return SimpleNamespace(commands=commands, dataset=dataset, content={"gains": gains})
+
+
+SIX = ",".join(f"q{k}_cmd" for k in range(1, 7))
+TAUS = "tau1,tau2"
+
+
 @pytest.mark.parametrize(
-    ("columns", "device", "kind", "joints"),
+    ("made", "device", "meant", "joints"),
     [
-        ("t,tau,current_cmd", "dynamixel --port PORT --id 1 --mode current", "current", 1),
-        ("t,q1_cmd,q2_cmd", "dynamixel --port PORT --id 1 --id 2 --mode position", "position", 2),
-        ("t," + ",".join(f"q{k}_cmd" for k in range(1, 7)), "ur10 --host HOST", "position", 6),
+        (
+            design("tau,current_cmd", "tau", PENDULUM, [1.5]),
+            "dynamixel --port PORT --id 1 --mode current",
+            " --model pendulum --gain 1.5",
+            1,
+        ),
+        (
+            design("tau1,tau2,current1_cmd,current2_cmd", TAUS, ROBOT, [1.5, 2.0]),
+            "dynamixel --port PORT --id 1 --id 2 --mode current",
+            " --model {plan}/robot.xml --gain 1.5,2",
+            2,
+        ),
+        (
+            design("q1_cmd,q2_cmd", TAUS, ModelSpec("planar_arm")),
+            "dynamixel --port PORT --id 1 --id 2 --mode position",
+            "",
+            2,
+        ),
+        (design(SIX, TAUS, ModelSpec("ur10")), "ur10 --host HOST", "", 6),
+        (
+            design("lift_cmd,elbow_cmd", "lift_cmd,elbow_cmd", ROBOT),
+            "dynamixel --port PORT --id 1 --id 2 --mode position",
+            " --model {plan}/robot.xml",
+            2,
+        ),
     ],
 )
-def test_the_command_that_plays_a_design_runs_as_printed(tmp_path, columns, device, kind, joints):
+def test_the_command_that_plays_a_design_runs_as_printed(tmp_path, made, device, meant, joints):
     plan = tmp_path / "plan"
     plan.mkdir()
-    rows = [",".join(["0"] * (1 + columns.count(","))), ",".join(["1"] * (1 + columns.count(",")))]
-    (plan / "trajectory.csv").write_text("\n".join([columns, *rows]))
-    said = how_to_play(plan)
-    assert said == f"play it with: jaxid record {device} --play {plan} --out {plan}_run"
+    columns = {"t": np.array([0.0, 1.0]), **made.commands}
+    rows = zip(*columns.values(), strict=True)
+    lines = [",".join(columns), *(",".join(f"{v:g}" for v in row) for row in rows)]
+    (plan / "trajectory.csv").write_text("\n".join(lines))
+    said = how_to_play(made, plan)
+    options = f"--play {plan}{meant.format(plan=plan)} --out {plan}_run"
+    assert said == f"play it with: jaxid record {device} {options}"
     _, name, *words = shlex.split(said.partition("jaxid ")[2])
     command = record.get_command(click.Context(record), name)
     assert command is not None
     taken = command.make_context(name, words).params
     mode = taken.get("mode", "position")
-    assert mode == kind
     path = Path(taken["play"]) / "trajectory.csv"
-    assert Trajectory.read(path, joints, mode).values.shape == (2, joints)
+    named = ["lift", "elbow"]
+    assert Trajectory.read(path, joints, mode, named).values.shape == (2, joints)
 
 
 def test_a_design_that_no_device_plays_says_what_to_do(tmp_path):
-    (tmp_path / "trajectory.csv").write_text("t,tau\n0,0\n")
-    assert "give --gain" in how_to_play(tmp_path)
-    (tmp_path / "trajectory.csv").write_text("t,shoulder_cmd\n0,0\n")
-    assert "play trajectory.csv yourself" in how_to_play(tmp_path)
+    assert "give --gain" in how_to_play(design("tau", "tau", PENDULUM), tmp_path)
+    pushed = design("push", "push", ROBOT)
+    pushed.dataset.inputs = (Channel("push", "input", "N"),)
+    assert "play trajectory.csv yourself" in how_to_play(pushed, tmp_path)
+
+
+HINGE = """<mujoco><compiler angle="radian"/><worldbody><body name="arm">
+<joint name="shoulder" type="hinge" axis="0 1 0" damping="0.05" range="-1.5 1.5"/>
+<inertial pos="0.15 0 0" mass="0.3" diaginertia="0.001 0.002 0.002"/></body></worldbody>{}</mujoco>
+"""
+GOALS = """<actuator><position joint="shoulder" kp="10" kv="0.3"/></actuator>"""
+
+
+def test_the_range_of_a_file_stays_where_it_is(tmp_path):
+    """The arm hangs at pi / 2 without drive, beyond its range of 1.5 rad."""
+    file = tmp_path / "robot.xml"
+    file.write_text(HINGE.format(GOALS))
+    made = excite(str(file), duration_s=4.0, starts=2)
+    goals = made.commands["shoulder_cmd"]
+    assert np.abs(goals).max() <= 1.5 and np.ptp(goals) > 0.5
+    assert np.abs(made.dataset.experiments[0].y).max() <= 1.5
+    file.write_text(HINGE.format(""))
+    with pytest.raises(UsageError, match=r"without drive shoulder rests at 1\.571, outside"):
+        excite(str(file), duration_s=4.0, starts=2)
+
+
+@pytest.mark.slow
+def test_each_torque_of_a_robot_has_a_current_of_its_own(tmp_path):
+    file = tmp_path / "robot.xml"
+    file.write_text(
+        """<mujoco><worldbody><body><joint name="a" axis="0 0 1" damping="0.1"/>
+<inertial pos="0.1 0 0" mass="0.3" diaginertia="0.01 0.01 0.01"/><body pos="0.2 0 0">
+<joint name="b" axis="0 0 1" damping="0.1"/>
+<inertial pos="0.1 0 0" mass="0.3" diaginertia="0.01 0.01 0.01"/></body></body></worldbody></mujoco>
+"""
+    )
+    made = excite(str(file), duration_s=2.0, starts=1, gain=[2.0])
+    torques = made.dataset.experiments[0].u
+    for k in range(2):
+        assert np.allclose(made.commands[f"current{k + 1}_cmd"], torques[:, k] / 2.0)

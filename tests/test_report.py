@@ -593,3 +593,22 @@ def test_ranges_to_write_have_as_many_digits_as_numbers():
     limits = [-22.12847087521902, 22.12847087521902]
     row = ExportRow("torque_scale", "j2", "forcerange", limits, "N m", "exact", "")
     assert carry.change(row).value == "[-22.13, 22.13]\u00a0N\u00a0m"
+
+
+@pytest.mark.parametrize(
+    ("ways", "commands"),
+    [
+        (None, ["export", "replay"]),
+        (["exact", "code"], ["export", "replay"]),
+        (["code"], ["export"]),
+        (["none"], []),
+        ([], []),
+    ],
+)
+def test_only_commands_that_run_are_proposed(ways, commands):
+    """A file that nothing is written into is not there to be replayed."""
+    rows = None
+    if ways is not None:
+        rows = [ExportRow("armature", "lift", "", 0.1, "kg m^2", how, "") for how in ways]
+    lines = carry._commands(rows, "mjcf", "diagnosis.json", "robot.xml")
+    assert [line.split()[1] for line, _ in lines] == commands

@@ -107,6 +107,29 @@ def test_letters_of_pictures_can_be_read_on_a_phone(written, tmp_path):
             assert found["width"] <= PHONE[0] and found["cut"] == [], (kind, found)
 
 
+#: Letters that reach beyond their picture, by how many pixels.
+BEYOND = """
+[...document.querySelectorAll("figure svg")].flatMap(s => {
+  const edge = s.getBoundingClientRect();
+  return [...s.querySelectorAll("text")].filter(t => t.textContent.trim())
+    .map(t => [t.textContent, t.getBoundingClientRect()])
+    .map(([told, r]) => [told, Math.max(edge.left - r.left, r.right - edge.right)])
+    .filter(([, far]) => far > 0.5);
+})
+"""
+
+
+@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
+def test_letters_of_pictures_stay_within_them(written, size, tmp_path):
+    found = {}
+    with Chromium(tmp_path, size) as browser:
+        for kind, page in written.items():
+            browser.shown(page.as_uri())
+            browser.evaluate(UNFOLD)
+            found[kind] = browser.evaluate(BEYOND)
+    assert found == dict.fromkeys(written, [])
+
+
 #: Letters of a picture that lie over one another by more than a pixel or two.
 OVER = """
 [...document.querySelectorAll("figure svg")].flatMap(s => {

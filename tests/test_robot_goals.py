@@ -38,7 +38,7 @@ from jaxid.fitting.result import Estimate
 from jaxid.fitting.secant import descend_on_secants, Slopes
 from jaxid.force import drive
 from jaxid.models import Robot
-from jaxid.models.effects import ConstantTorque, Saturation, StribeckFriction
+from jaxid.models.effects import ConstantTorque, LuGreFriction, Saturation, StribeckFriction
 from jaxid.numerics import kept
 from jaxid.problem import typical
 from jaxid.problem.binding import bind, Binding
@@ -218,6 +218,26 @@ def test_numbers_count_that_a_fit_tells_from_what_they_were(torque):
     h = alone.decider.refit([c], b.theta)
     assert alone.told(h) == ([] if torque == 0 else list(c.index)) and alone.numbers(h) == 1
     assert alone.told(alone.stands) == []
+
+
+def test_bristles_that_give_over_no_distance_are_another_law():
+    """Where the file's friction accounts for a recording as well, that is said."""
+    file = robot(limb("lift", 0.0))
+    recorded = moving(robot(limb("lift", 0.4)), swinging())
+    b = bind(file, recorded, candidates=[LuGreFriction])
+    (c,) = candidates(bench := ProblemBuilder(b, differences=1), ["lugre_friction"])
+    plain = bind(file, recorded)
+    alone = Alone(Decider(bench, plain.layout.names), plain, plain.theta)
+    theta = b.theta.copy()
+    theta[list(c.index)] = 0.4, 0.001, 0.0
+    found = alone.decider.refit([c], theta)
+    assert found.theta[c.index[2]] >= 0.0 and not alone.ends_as_another(found)
+    p = found.path.problem
+    z = found.path.z.copy()
+    (at,) = np.flatnonzero(p.free == c.index[1])
+    z[at] = p.lower[at]
+    ended = dataclasses.replace(found, path=dataclasses.replace(found.path, z=z), theta=p.theta(z))
+    assert alone.ends_as_another(ended)
 
 
 def test_a_free_run_is_linearised_once_at_the_same_numbers(monkeypatch):

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -259,29 +260,62 @@ def excitation_text(made: Excitation, out: Path | None) -> str:
         )
     parts += [f"note: {n}" for n in c["notes"]]
     if out is not None:
-        parts.append(f"written to {out}; {how_to_play(out)}")
+        parts.append(f"written to {out}; {how_to_play(made, out)}")
     return "\n".join(parts)
 
 
-def how_to_play(out: Path) -> str:
+def how_to_play(made: Excitation, out: Path) -> str:
     """What plays the path of a design that was written to a folder: the command of a device that
-    takes its columns, whose own words are in capitals.
+    takes its columns, whose own words are in capitals. It records what the model of the design
+    needs.
     """
-    with (out / "trajectory.csv").open(encoding="utf-8") as file:
-        names = file.readline().strip().split(",")
+    played = _mode_and_joints(made)
+    if played is None and "tau" in made.commands:
+        return "a servo plays it as currents: give --gain, the torque per ampere of its drive"
+    if played is None:
+        return "no device of jaxid record has joints of these names: play trajectory.csv yourself"
+    mode, joints = played
+    words = ["ur10", "--host", "HOST"]
+    if mode != "position" or joints != OF_A_UR:
+        words = ["dynamixel", "--port", "PORT"]
+        for number in range(1, joints + 1):
+            words += ["--id", str(number)]
+        words += ["--mode", mode]
+    words += ["--play", str(out), *_meant_for(made, out), "--out", f"{out}_run"]
+    return f"play it with: jaxid record {shlex.join(words)}"
+
+
+def _mode_and_joints(made: Excitation) -> tuple[str, int] | None:
+    """By what a device is commanded to play a design, and how many joints it has; None where none
+    of its kinds of command is there.
+    """
     for mode, stem in PLAYED.items():
         wanted = re.compile(rf"{stem}\d*_cmd")
-        count = sum(bool(wanted.fullmatch(name)) for name in names)
-        if not count:
-            continue
-        device = "ur10 --host HOST"
-        if mode != "position" or count != OF_A_UR:
-            servos = " ".join(f"--id {k + 1}" for k in range(count))
-            device = f"dynamixel --port PORT {servos} --mode {mode}"
-        return f"play it with: jaxid record {device} --play {out} --out {out}_run"
-    if "tau" in names:
-        return "a servo plays it as currents: give --gain, the torque per ampere of its drive"
-    return "no device of jaxid record has joints of these names: play trajectory.csv yourself"
+        joints = sum(bool(wanted.fullmatch(name)) for name in made.commands)
+        if joints:
+            return mode, joints
+    inputs = made.dataset.inputs
+    turned = all(channel.unit == "rad" for channel in inputs)
+    return ("position", len(inputs)) if turned and _robot_of(made) else None
+
+
+def _robot_of(made: Excitation) -> str:
+    """The name of the robot's file that a design is for; nothing for another model."""
+    geometry = getattr(made.dataset.model, "geometry", None)
+    return "" if geometry is None else geometry.file
+
+
+def _meant_for(made: Excitation, out: Path) -> list[str]:
+    """The options of a recording that give the channels of the model of a design; none where that
+    takes torques which the design does not play.
+    """
+    gains, model = made.content.get("gains"), made.dataset.model
+    inputs = {channel.name for channel in made.dataset.inputs}
+    if model is None or gains is None and not inputs <= set(made.commands):
+        return []
+    robot = _robot_of(made)
+    words = ["--model", str(out / robot) if robot else model.file or str(model.name)]
+    return words if gains is None else [*words, "--gain", ",".join(f"{k:g}" for k in gains)]
 
 
 def design_next(diagnosis: Diagnosis, out: Path, limits: Limits | None, silent: bool) -> None:
@@ -297,4 +331,4 @@ def design_next(diagnosis: Diagnosis, out: Path, limits: Limits | None, silent: 
         terminal.complain(f"--next: {error}")
         return
     if not silent:
-        terminal.say(f"{made.content['notes'][-1]}\nwritten to {out}; {how_to_play(out)}")
+        terminal.say(f"{made.content['notes'][-1]}\nwritten to {out}; {how_to_play(made, out)}")

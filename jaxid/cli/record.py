@@ -234,9 +234,11 @@ def _record(
     device, out, play, limits, sensors, as_json, quiet, gain, constants, watch, **options
 ) -> int:
     from jaxid.hardware import HardwareError, Limits, record, SensorSpec, Trajectory
+    from jaxid.hardware.channels import joints_of
 
     if play is not None:
-        play = Trajectory.read(play, device.joints, device.kinds[0])
+        named = joints_of(options["model"])
+        play = Trajectory.read(play, device.joints, device.kinds[0], named)
     limits = None if limits is None else Limits.read(limits)
     specs = [SensorSpec.read(s) for s in sensors]
     # A batch system ends a job with SIGTERM, a lost connection with SIGHUP, and a shell has

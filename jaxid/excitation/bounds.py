@@ -20,7 +20,8 @@ from jaxid.dynamics.mechanism import Signature
 class Bounds(NamedTuple):
     """Per joint [n]: `home` a pose to move about, range `lower` ... `upper` (rad or m), `speed`,
     `acceleration`, and the standard deviation of the torque's noise, nan where unknown (N m or N).
-    `source` says where they come from.
+    `source` says where they come from; `stated` [n] whether somebody states a joint's range, which
+    then stays where it is.
     """
 
     home: np.ndarray
@@ -30,6 +31,7 @@ class Bounds(NamedTuple):
     acceleration: np.ndarray
     torque_noise: np.ndarray
     source: str
+    stated: np.ndarray
 
 
 class KnownLimits(NamedTuple):
@@ -81,6 +83,7 @@ def bounds_of(model: str, signature: Signature, stated: Limits | None, table: An
     """
     n = len(signature.joints)
     stated = (stated or Limits()).widened(n)
+    ranged = np.full(n, stated.lower is not None or stated.upper is not None or model in KNOWN)
     known = KNOWN.get(model)
     if known is not None:
         home, lower, upper, speed, acceleration = (np.array(v, float) for v in known[:5])
@@ -96,6 +99,7 @@ def bounds_of(model: str, signature: Signature, stated: Limits | None, table: An
         )
         source = "a cautious rule: 1.2 rad, 3 rad/s, 12 rad/s^2 (0.15 m, 0.5 m/s, 3 m/s^2)"
         if table is not None and len(table.lower) == n:
+            ranged |= np.isfinite(table.lower) | np.isfinite(table.upper)
             low, high = (
                 np.where(np.isfinite(table.lower), table.lower, lower),
                 np.where(np.isfinite(table.upper), table.upper, upper),
@@ -133,4 +137,13 @@ def bounds_of(model: str, signature: Signature, stated: Limits | None, table: An
         if known is None or known.torque_noise is None
         else np.array(known.torque_noise)
     )
-    return Bounds(home, lower, upper, speed, acceleration, noise, source)
+    return Bounds(
+        home=home,
+        lower=lower,
+        upper=upper,
+        speed=speed,
+        acceleration=acceleration,
+        torque_noise=noise,
+        source=source,
+        stated=ranged,
+    )

@@ -23,7 +23,7 @@ from jaxid.data.limits import Limits
 from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.excitation.bounds import Bounds
 from jaxid.excitation.input_design import described, widened
-from jaxid.excitation.inputs import choose, Family, InputDesign, settled
+from jaxid.excitation.inputs import begun, choose, Family, InputDesign
 from jaxid.excitation.result import Excitation
 
 
@@ -172,7 +172,7 @@ def separate(
         else None
     )
     lines = np.unique(np.round(np.geomspace(1, max(harmonics, HIGHEST * rate * t[-1]), harmonics)))
-    start = settled(rivals.layout.model(rivals.theta[0]), bounds.home)
+    start, bounds = begun(rivals.layout.model(rivals.theta[0]), bounds)
     middle = np.where(seen.top > 0, start[: len(inputs)] if positions else 0.0, seen.center)
     family = Family(t, len(lines), 2 * np.pi / t[-1], top, middle, slew, lines)
     bench = Separation(rivals, start, family, bounds)
@@ -275,11 +275,12 @@ def _bounds(rivals: Rivals, limits: Limits | None) -> Bounds:
         else "stated limits, else what the recorded runs reached"
     )
     return Bounds(
-        np.clip(seen.home, lower, upper),
-        lower,
-        upper,
-        speed,
-        acceleration,
-        np.full(n, np.nan),
-        source,
+        home=np.clip(seen.home, lower, upper),
+        lower=lower,
+        upper=upper,
+        speed=speed,
+        acceleration=acceleration,
+        torque_noise=np.full(n, np.nan),
+        source=source,
+        stated=np.ones(n, bool),
     )

@@ -12,7 +12,15 @@ from jaxid.data.dataset import Channel, Dataset, Experiment, ModelSpec
 from jaxid.data.limits import Limits
 from jaxid.dynamics.chain import Chain
 from jaxid.excitation.bounds import Bounds
-from jaxid.excitation.inputs import choose, determined, Family, InputDesign, largest_inputs, settled
+from jaxid.excitation.inputs import (
+    begun,
+    by_goals,
+    choose,
+    determined,
+    Family,
+    InputDesign,
+    largest_inputs,
+)
 from jaxid.excitation.result import content, coverage, Excitation, reached, stds
 
 
@@ -47,12 +55,11 @@ def design_input(
     gains = None if gain is None else widened("gain", gain, nu)
     if gains is not None and limits is not None and limits.current is not None:
         top = np.minimum(top, gains * np.array(limits.widened(nu).current))
-    start = settled(chain, bounds.home)
-    if not ((start >= bounds.lower) & (start <= bounds.upper)).all():
-        moved = start - bounds.home
-        bounds = bounds._replace(lower=bounds.lower + moved, upper=bounds.upper + moved, home=start)
+    if by_goals(chain):
+        bounds = bounds._replace(home=(bounds.lower + bounds.upper) / 2)
+    start, bounds = begun(chain, bounds)
     center, slew = np.zeros(nu), None
-    if all(unit in ("rad", "m") for _, unit in signature.inputs):
+    if by_goals(chain):
         center = start[:nu]
         slew = (0.75 * bounds.speed[:nu], 0.75 * bounds.acceleration[:nu])
     omega = 2 * np.pi * plan["base_frequency_hz"]
@@ -104,7 +111,8 @@ def described(
                 f"{chain.mechanism.name} takes positions: a gain (N m/A) has no meaning; leave out"
                 " --gain"
             )
-        currents = {_current(name): u[:, k] / gains[k] for k, name in enumerate(inputs)}
+        for k, name in enumerate(inputs):
+            currents[_current(name, k, len(inputs))] = u[:, k] / gains[k]
     values = dict(zip(bench.names, bench.layout.values[bench.free].tolist(), strict=True))
     notes = [_SIMULATED]
     zero = [name for name, value in values.items() if value == 0 and "offset" not in name]
@@ -125,6 +133,7 @@ def described(
         "assumed_noise": dict(zip(outputs, noise.tolist(), strict=True)),
         "expected_std": dict(zip(bench.names, std.tolist(), strict=True)),
         "assumed_values": values,
+        "gains": None if gains is None else gains.tolist(),
         "speed_coverage": coverage(signature.joints, bounds, qd),
         "notes": notes,
     }
@@ -206,7 +215,11 @@ def widened(name: str, values: Sequence[float], count: int) -> np.ndarray:
     return np.broadcast_to(np.asarray(values, float), (count,)).copy()
 
 
-def _current(name: str) -> str:
-    """`tau2` is commanded as `current2_cmd`, `tau` as `current_cmd`."""
-    number = name[len(name.rstrip("0123456789")) :]
+def _current(name: str, place: int, count: int) -> str:
+    """`tau2` is commanded as `current2_cmd`, `tau` as `current_cmd`. The torques of a robot's
+    joints, which have names, are numbered by their place.
+    """
+    number = name[len(name.rstrip("0123456789")) :] if name.startswith("tau") else ""
+    if not number and count > 1:
+        number = str(place + 1)
     return f"current{number}_cmd"

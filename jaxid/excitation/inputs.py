@@ -141,12 +141,39 @@ def settled(chain: Chain, home: np.ndarray) -> np.ndarray:
         return np.asarray(q)
 
 
+def by_goals(chain: Chain) -> bool:
+    """Whether a chain is driven by where its joints are to be."""
+    return all(unit in ("rad", "m") for _, unit in chain.signature.inputs)
+
+
+def begun(chain: Chain, bounds: Bounds) -> tuple[np.ndarray, Bounds]:
+    """The pose [n] in which an experiment begins, and its bounds.
+
+    Goals hold the pose `home`. Without them a mechanism begins where it rests, and a range that
+    nobody states goes with it. Raises `UsageError` where it rests outside a range that is stated.
+    """
+    if by_goals(chain):
+        return bounds.home, bounds
+    rest = settled(chain, bounds.home)
+    outside = (rest < bounds.lower) | (rest > bounds.upper)
+    for j in np.flatnonzero(outside & bounds.stated):
+        raise UsageError(
+            f"without drive {chain.signature.joints[j]} rests at {rest[j]:.4g}, outside its limits"
+            f" {bounds.lower[j]:.4g} to {bounds.upper[j]:.4g}: no input in open loop keeps them."
+            " Drive it by goals, or state limits about that pose (--limits)"
+        )
+    if not outside.any():
+        return rest, bounds
+    moved = rest - bounds.home
+    return rest, bounds._replace(home=rest, lower=bounds.lower + moved, upper=bounds.upper + moved)
+
+
 def largest_inputs(chain: Chain, bounds: Bounds) -> np.ndarray:
     """Largest input [nu] by default: what a sine over the whole range at the speed limit needs;
     half the range for positions.
     """
     half = (bounds.upper - bounds.lower) / 2
-    if all(unit in ("rad", "m") for _, unit in chain.signature.inputs):
+    if by_goals(chain):
         return 0.9 * half
     if not chain.direct:
         raise UsageError(

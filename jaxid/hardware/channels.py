@@ -57,6 +57,13 @@ def robot_of(model: str | None) -> Geometry | None:
     return spec_of_file(model).geometry if is_file(model) else None
 
 
+def joints_of(model: str | None) -> list[str]:
+    """The joints of a robot's file that a device moves, in its order; none for a model."""
+    from jaxid.robots.match import is_file, joints_that_move
+
+    return list(joints_that_move(model)) if model is not None and is_file(model) else []
+
+
 def _forms(model: str, joint: int | None, gain: bool) -> Iterator[list[tuple[str, str, str, str]]]:
     """What a model may be recorded by, the first that is there: (channel, the device's word for it,
     unit, role) of each.

@@ -78,23 +78,24 @@ class Trajectory:
 
     @classmethod
     def read(
-        cls, path: str | os.PathLike[str], joints: int = 1, kind: str = "position"
+        cls,
+        path: str | os.PathLike[str],
+        joints: int = 1,
+        kind: str = "position",
+        named: Sequence[str] = (),
     ) -> Trajectory:
         """From CSV or Parquet with a column `t` and one command a joint, or from a dataset folder
         (its first run).
 
         Columns are `q1_cmd …` or `q1 …` (`qd`, `current` for the other kinds; no number where there
-        is one joint), in SI.
+        is one joint), in SI. Positions may also be called by the joints of a robot's file, `named`
+        in the order of the device: `elbow_cmd` or `elbow`.
         """
         path = Path(path)
         columns, t = _columns(path)
-        stem = KINDS[kind][0]
-        numbers = [""] if joints == 1 else [str(j + 1) for j in range(joints)]
         chosen = []
-        for n in numbers:
-            names = [f"{stem}{n}_cmd", f"{stem}{n}"] + (
-                [f"{stem}1_cmd", f"{stem}1"] if joints == 1 else []
-            )
+        for place in range(joints):
+            names = _names_of_command(place, joints, kind, named)
             found = next((name for name in names if name in columns), None)
             if found is None:
                 raise UsageError(_lacking(path, names[0], columns, kind, joints))
@@ -238,6 +239,20 @@ def _times(duration: float, step: float) -> np.ndarray:
 
 def _both(limit):
     return (None, None) if limit is None else (tuple(-v for v in limit), limit)
+
+
+def _names_of_command(place: int, joints: int, kind: str, named: Sequence[str]) -> list[str]:
+    """What the column of a joint's command may be called, the most usual first."""
+    stem = KINDS[kind][0]
+    words = [f"{stem}{place + 1}"]
+    if joints == 1:
+        words.insert(0, stem)
+    if kind == "position":
+        words += named[place : place + 1]
+    names = []
+    for word in words:
+        names += [f"{word}_cmd", word]
+    return names
 
 
 def _lacking(path: Path, column: str, columns: Iterable[str], kind: str, joints: int) -> str:

@@ -78,6 +78,7 @@ def draw_gap(axes: Axes, diagnosis: Diagnosis) -> Axes:
             va="center",
             fontweight="bold",
             color="#000000",
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5},
         )
     axes.axvline(floor, color=plot.BLACK, linestyle=(0, (4, 2)), linewidth=1.2)
     axes.annotate(

@@ -13,6 +13,7 @@ from jaxid.fitting.result import Estimate, Fit
 from jaxid.identification.result import Identification
 from jaxid.report.effect_text import named_places
 from jaxid.report.page import Section
+from jaxid.robots.export.target import APPROXIMATE, EXACT, NONE
 
 
 if TYPE_CHECKING:
@@ -71,37 +72,55 @@ def values_to_write(fit: Fit) -> list[ValueToWrite]:
 
 def _of_robot(result: Any, file: str, name: Path) -> Section:
     to = "urdf" if name.suffix.lower() == ".urdf" else "mjcf"
-    patched = shlex.quote(f"patched/{name.name}")
-    lines = [
-        (
-            f"jaxid export {file} --to {to} --ranges --out patched",
-            "your own file with what was found, and ranges to randomise by",
-        ),
-        (
-            f"jaxid replay DATASET --robot {patched} --out round_trip",
-            "the patched file in MuJoCo on the same log, joint by joint",
-        ),
-    ]
     written = changes(result, to)
     return Section(
         "carry.html",
         {
-            "lines": lines,
+            "lines": _commands(written, to, file, name.name),
             "robot": name.name,
-            "changes": list(map(change, written)),
-            "remarks": remarks(written),
+            "changes": list(map(change, written or [])),
+            "remarks": remarks(written or []),
         },
     )
 
 
-def changes(result: Any, to: str) -> list[ExportRow]:
-    """What the patched file says otherwise; none where the file is not at hand."""
+def _commands(
+    written: Sequence[ExportRow] | None, to: str, file: str, name: str
+) -> list[tuple[str, str]]:
+    """What can be typed, and what it makes; none where nothing is to be carried over. `written`:
+    what the patched file says otherwise, None where that is not known.
+    """
+    if written is not None and not any(row.how != NONE for row in written):
+        return []
+    found = "your own file with what was found"
+    in_the_file = written is None or any(row.how in (EXACT, APPROXIMATE) for row in written)
+    if not in_the_file:
+        found = "the law in Python, to be called at each step, for no field of your file has it"
+    lines = [
+        (
+            f"jaxid export {file} --to {to} --ranges --out patched",
+            f"{found}, and ranges to randomise by",
+        )
+    ]
+    if in_the_file:
+        patched = shlex.quote(f"patched/{name}")
+        lines.append(
+            (
+                f"jaxid replay DATASET --robot {patched} --out round_trip",
+                "the patched file in MuJoCo on the same log, joint by joint",
+            )
+        )
+    return lines
+
+
+def changes(result: Any, to: str) -> list[ExportRow] | None:
+    """What the patched file says otherwise; None where the file is not at hand."""
     from jaxid.base.errors import UsageError
 
     try:
         rows = result.export(to).rows
     except (UsageError, OSError):
-        return []
+        return None
     return [row for row in rows if not row.kept]
 
 
@@ -123,7 +142,7 @@ def remarks(rows: Sequence[ExportRow]) -> list[str]:
     told = []
     for part, numbers in said.items():
         names = [_placed(effect, at) for effect, at in wording.by_effect(numbers).items()]
-        told.append(f"{wording.listed(names)}: {part}.")
+        told.append(f"{wording.listed(names)}: {part.rstrip('.')}.")
     return told
 
 

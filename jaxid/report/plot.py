@@ -16,6 +16,7 @@ from markupsafe import escape, Markup
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from jaxid.base.wording import one_line
@@ -38,6 +39,9 @@ GREY, PALE = "#8c8c8c", "#dddddd"
 #: side on a screen, one on a phone, and letters of 9 points are then at least 9 pixels high.
 WIDE, NARROW = 9.2, 4.4
 LETTER = 0.075  # inches that a letter of 9 points takes, roughly
+#: Share of a picture's width left free at its right: letters of a browser are a little wider than
+#: those that are measured here.
+SPARE = 0.02
 
 LARGEST = 1e12
 POINTS = 1500  # drawn of a series, however long it is
@@ -83,7 +87,8 @@ def element(name: str, size: tuple[float, float], draw: Callable[[Figure], objec
         )  # a glyph missing from matplotlib's font: the browser draws the text
         matplotlib.rcdefaults()
         matplotlib.rcParams.update({**_SETTINGS, "svg.hashsalt": name})
-        figure = Figure(figsize=size, dpi=72, layout="constrained")  # what SVG counts in
+        room = ConstrainedLayoutEngine(rect=(0.0, 0.0, 1.0 - SPARE, 1.0))
+        figure = Figure(figsize=size, dpi=72, layout=room)  # what SVG counts in
         canvas = FigureCanvasSVG(figure)  # it measures letters
         draw(figure)
         spoken = described(figure)

@@ -64,7 +64,7 @@ class Alone:
     def enough(self, found: Sequence[StatedDifference]) -> list[Hypothesis]:
         """Those that leave no more than the noise: the fewest numbers that leave next to nothing
         more than any, by the evidence for each; a number of the model stands before an effect that
-        the data do not tell from it.
+        the data do not tell from it, and a law that ended as another one after all.
         """
         wide, out = self.decider.bench.binding, []
         least_left = np.inf
@@ -95,6 +95,7 @@ class Alone:
 
         def order(h):
             return (
+                self.ends_as_another(h),
                 h not in few,
                 h not in near,
                 not (self.of_numbers(h) and not self.of_law(h) and self.evidence(h) < told),
@@ -110,6 +111,20 @@ class Alone:
 
     def of_numbers(self, h: Hypothesis) -> bool:
         return not self.own.isdisjoint(h.index)
+
+    def ends_as_another(self, h: Hypothesis) -> bool:
+        """Whether a number of an effect ended at its bound, where its law is another one: bristles
+        that give over no distance are dry friction. At zero, and as the whole of a share, an effect
+        is what it says.
+        """
+        p = h.path.problem
+        free = len(p.free)
+        z, lower, upper = h.path.z[:free], p.lower[:free], p.upper[:free]
+        near = 1e-9 * np.maximum(np.abs(z), p.scale[:free])
+        ended = (z - lower <= near) | (upper - z <= near)
+        share = (lower == 0.0) & (upper == 1.0)
+        of_effects = np.isin(p.free, list(set(h.index) - self.own))
+        return bool((ended & of_effects & ~share & (h.theta[p.free] != 0.0)).any())
 
     def of_law(self, h: Hypothesis) -> bool:
         """Whether gains are changed, which whoever wrote the law knows best."""
