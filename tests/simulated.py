@@ -5,6 +5,7 @@ program.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import diffrax
@@ -19,6 +20,10 @@ from jaxid.simulation import sample_buffers as samples
 from jaxid.simulation.batch import BatchSimulator
 from jaxid.simulation.rollout import simulate_rollout
 from jaxid.simulation.sample_buffers import Record
+
+
+#: `jax.jit` for a program that runs a few times only: compiling it is what takes time.
+quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
 
 class Simulator:

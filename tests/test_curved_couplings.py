@@ -102,6 +102,12 @@ def test_forces_are_those_of_mujoco():
     data = mujoco.MjData(model)
     p = np.polynomial.Polynomial(POLYNOMIAL)
     robot, rng = hand(), np.random.default_rng(3)
+
+    @jax.jit
+    def both_ways(q, qd, qdd):
+        M, bias = robot.matrices(q, qd)
+        return robot.inverse(q, qd, qdd), M @ qdd + bias
+
     for _ in range(10):
         (lift, right), (lift_v, right_v), (lift_a, right_a) = rng.uniform(-0.35, 0.45, (3, 2)) * [
             [1.0], [5.0], [20.0]
@@ -116,9 +122,7 @@ def test_forces_are_those_of_mujoco():
         theirs = np.array([force[0], force[3] + slope * (force[1] - 2 * force[2])])
         with float64():
             q, qd, qdd = np.array([[lift, right], [lift_v, right_v], [lift_a, right_a]])
-            ours = np.asarray(robot.inverse(q, qd, qdd))
-            M, bias = robot.matrices(q, qd)
-            forward = np.asarray(M @ qdd + bias)
+            ours, forward = (np.asarray(force) for force in both_ways(q, qd, qdd))
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-10)
         np.testing.assert_allclose(forward, theirs, rtol=1e-9, atol=1e-10)
 

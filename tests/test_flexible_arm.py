@@ -15,6 +15,7 @@ from jaxid.dynamics.mechanism import equations_of_motion
 from jaxid.dynamics.parameter import with_fields
 from jaxid.models import FlexibleArm
 from jaxid.numerics.precision import float64
+from simulated import quick_jit
 
 
 def arm_of(n_elements: int = 3, n_modes: int = 2, **numbers: float) -> FlexibleArm:
@@ -158,7 +159,7 @@ def test_the_step_against_an_integration(gravity):
                 return ready.close(h, x, free, jnp.zeros(2), free.qd, jnp.zeros(2)), None
 
             times = (jnp.arange(steps) + 0.5) * h
-            x, _ = jax.jit(lambda x: jax.lax.scan(one, x, times))(
+            x, _ = quick_jit(lambda x: jax.lax.scan(one, x, times))(
                 arm.start(jnp.array([0.3, -0.5]), jnp.zeros(2))
             )
             return np.asarray(x[0]), complex(

@@ -8,6 +8,7 @@ from functools import cache
 from math import pi
 from typing import Any
 
+import equinox as eqx
 import hypothesis.strategies as st
 import jax
 import jax.numpy as jnp
@@ -26,7 +27,7 @@ from jaxid.models import FlexibleLink, MODELS, Servo, SpaceManipulator, Tracker
 from jaxid.models.effects import BaseMotion
 from jaxid.numerics.precision import float64
 from jaxid.simulation.transfer import transfer
-from simulated import flow, relative, Simulator
+from simulated import flow, quick_jit, relative, Simulator
 
 
 # ---- Lagrange by SymPy
@@ -132,9 +133,14 @@ SPACE: dict[str, Any] = {
 }
 
 
+@eqx.filter_jit
+def inverse(model: Rigid, q, qd, qdd) -> jax.Array:
+    return model.inverse(q, qd, qdd)
+
+
 def torque(model: Rigid, q, qd, qdd) -> np.ndarray:
     with float64():
-        return np.asarray(model.inverse(jnp.asarray(q), jnp.asarray(qd), jnp.asarray(qdd)))
+        return np.asarray(inverse(model, jnp.asarray(q), jnp.asarray(qd), jnp.asarray(qdd)))
 
 
 @pytest.mark.parametrize("rotor", [0.0, 0.03])
@@ -379,7 +385,7 @@ def test_no_gradient_is_nan(chain):
         return jnp.concatenate([*body.port(carry.x), y.ravel(), re.ravel(), im.ravel()])
 
     with float64():
-        both = jax.jit(jax.vmap(lambda *a: (answer(*a), jax.jacfwd(answer, (0, 1))(*a))))
+        both = quick_jit(jax.vmap(lambda *a: (answer(*a), jax.jacfwd(answer, (0, 1))(*a))))
         value, (by_theta, by_state) = both(jnp.asarray(theta), jnp.asarray(state), jnp.asarray(u))
     for name, a in (("value", value), ("by parameters", by_theta), ("by state", by_state)):
         assert np.isfinite(np.asarray(a)).all(), name
@@ -396,7 +402,7 @@ def masses(name: str):
         mechanism: Any = layout.model(theta).mechanism
         return mechanism.matrices(q, jnp.zeros_like(q))[0]
 
-    return layout, jax.jit(jax.vmap(jax.vmap(mass, (None, 0))))
+    return layout, quick_jit(jax.vmap(jax.vmap(mass, (None, 0))))
 
 
 @settings(max_examples=5, deadline=None)
@@ -418,20 +424,22 @@ def test_the_mass_matrix_is_symmetric_and_positive_definite(seed):
         assert np.linalg.eigvalsh(A).min() > 0, chain.mechanism.name
 
 
+@eqx.filter_jit
+def at_rest(mechanism: Rigid, q) -> tuple[jax.Array, jax.Array]:
+    """Mass matrix and bias of a mechanism that does not move."""
+    return mechanism.matrices(q, jnp.zeros_like(q))
+
+
 def energy(mechanism: Rigid, q, qd):
     """Kinetic and potential energy by the mass matrix and the work of the bias at rest along a path
     from 0 to q.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(24)
-    M = np.asarray(mechanism.matrices(jnp.asarray(q), jnp.zeros(len(q)))[0])
-    work = sum(
-        w
-        / 2
-        * np.asarray(mechanism.matrices(jnp.asarray((x + 1) / 2 * q), jnp.zeros(len(q)))[1])
-        @ q
-        for x, w in zip(nodes, weights, strict=True)
-    )
-    return qd @ M @ qd / 2 + work
+    M, _ = at_rest(mechanism, jnp.asarray(q))
+    work = 0.0
+    for x, w in zip(*np.polynomial.legendre.leggauss(24), strict=True):
+        _, bias = at_rest(mechanism, jnp.asarray((x + 1) / 2 * q))
+        work += w / 2 * np.asarray(bias) @ q
+    return qd @ np.asarray(M) @ qd / 2 + work
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 """A robot's step as its file asks MuJoCo for, against MuJoCo."""
 
 import importlib
-from functools import partial
 from typing import Any
 
 import jax
@@ -16,14 +15,12 @@ from jaxid.dynamics.soft_constraints import constrained, Constraints
 from jaxid.models import Robot
 from jaxid.numerics.precision import float64
 from jaxid.numerics.reverse import in_reverse
+from simulated import quick_jit
 from written_robots import _body, gantry, shoulder
 
 
 mujoco: Any = importlib.import_module("mujoco")  # its names are made when it loads
 
-quick = partial(
-    jax.jit, compiler_options={"xla_backend_optimization_level": 0}
-)  # compiling is what takes time here
 #: MuJoCo's own solver is asked for all digits.
 SOLVED = 'tolerance="1e-14" iterations="200" ls_iterations="200" ls_tolerance="1e-12"'
 #: What the joints and drives of an arm may have besides friction and damping.
@@ -97,7 +94,7 @@ def both(text: str, step: float, samples: int) -> tuple[np.ndarray, np.ndarray]:
     n = len(robot.signatures[0].joints)
     u, q = goals(n, samples, step), np.full(n, 0.1)
     with float64():
-        own = np.asarray(quick(lambda u, q: stepped(Chain(robot), step, u, q))(u, q))
+        own = np.asarray(quick_jit(lambda u, q: stepped(Chain(robot), step, u, q))(u, q))
     return in_mujoco(text, u, q), own
 
 
@@ -155,13 +152,13 @@ def test_a_run_is_differentiated_as_it_is(integrator):
     with float64():
         theta = jnp.asarray(layout.values)
         with in_reverse():
-            backwards = np.asarray(quick(jax.grad(end))(theta))[at]
-        value, forwards = quick(end), []
+            backwards = np.asarray(quick_jit(jax.grad(end))(theta))[at]
+        value, forwards = quick_jit(end), []
         for i in at:
             size = 1e-5 * max(1e-2, abs(float(theta[i])))
             moved = [float(value(theta.at[i].add(side * size))) for side in (-1, 1)]
             forwards.append((moved[1] - moved[0]) / (2 * size))
-        along = quick(lambda x: jax.jvp(end, (theta,), (x,))[1])
+        along = quick_jit(lambda x: jax.jvp(end, (theta,), (x,))[1])
         tangents = [float(along(jnp.zeros_like(theta).at[i].set(1.0))) for i in at]
     assert np.all(backwards != 0)
     np.testing.assert_allclose(backwards, forwards, rtol=1e-4)
@@ -177,7 +174,7 @@ def test_a_joint_at_rest_has_finite_derivatives():
         return jnp.sum(stepped(layout.model(theta), 0.002, jnp.tile(still, (20, 1)), still)[-1])
 
     with float64(), in_reverse():
-        gradient = np.asarray(quick(jax.grad(end))(jnp.asarray(layout.values)))
+        gradient = np.asarray(quick_jit(jax.grad(end))(jnp.asarray(layout.values)))
     assert np.all(np.isfinite(gradient))
 
 
@@ -199,7 +196,7 @@ def test_soft_constraints_are_solved_to_rounding():
     )
     force, guess = 3 * rng.normal(size=(2, count, n))
     with float64():
-        found = quick(jax.vmap(constrained))(M, force, rows, guess)
+        found = quick_jit(jax.vmap(constrained))(M, force, rows, guess)
         a, opposed = (np.asarray(x) for x in found)
     pushed = np.maximum(rows.stop_target - rows.side * a, 0) / rows.stop_compliance
     left = np.einsum("kij,kj->ki", M, a) - force + opposed - rows.side * pushed

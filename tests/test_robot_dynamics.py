@@ -1,7 +1,6 @@
 """Dynamics of trees against MuJoCo, which shares no code with them."""
 
 import importlib
-from functools import partial
 from typing import Any
 
 import jax
@@ -13,6 +12,7 @@ from jaxid.dynamics.parameter import with_fields
 from jaxid.models import Robot
 from jaxid.numerics.fast_math import dot, inverse as inverted
 from jaxid.numerics.precision import float64
+from simulated import quick_jit
 from written_robots import ROBOTS, tilted
 
 
@@ -20,9 +20,6 @@ mujoco: Any = importlib.import_module("mujoco")  # its names are made when it lo
 
 
 STATES = 1000
-quick = partial(
-    jax.jit, compiler_options={"xla_backend_optimization_level": 0}
-)  # compiling is what takes time here
 
 
 def states(robot, count, seed=0):
@@ -78,7 +75,7 @@ def test_tree_moves_as_in_mujoco(name):
 
     forward = np.linalg.solve(M, (inverse - bias)[..., None])[..., 0]
     with float64():  # to NumPy inside: outside, JAX would compare in float32
-        own = [np.asarray(a) for a in quick(jax.vmap(everything))(q, qd, qdd, inverse)]
+        own = [np.asarray(a) for a in quick_jit(jax.vmap(everything))(q, qd, qdd, inverse)]
     for mine, theirs in zip(own, (M, bias, inverse, forward), strict=True):
         assert mine.dtype == np.float64 and np.abs(mine - theirs).max() < 1e-9 * max(
             1.0, np.abs(theirs).max()
@@ -105,7 +102,7 @@ def test_base_moves_as_prescribed_by_its_pose():
     with float64():
         own_M, own_bias = (
             np.asarray(a)
-            for a in quick(jax.vmap(lambda q, v: turned.prepare(None).matrices(q, v)))(q, qd)
+            for a in quick_jit(jax.vmap(lambda q, v: turned.prepare(None).matrices(q, v)))(q, qd)
         )
     assert (
         np.abs(own_M - M).max() < 1e-9 and np.abs(own_bias - bias).max() < 1e-9 * np.abs(bias).max()
