@@ -15,6 +15,7 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 
@@ -91,16 +92,26 @@ def _of_node(node: ast.AST) -> Iterator[tuple[str, int]]:
         yield "thresholds without a recorded case", 1
 
 
+@cache
+def sources(package: Path) -> list[tuple[Path, str, ast.Module]]:
+    """Path, text and tree of each file."""
+    found = []
+    for path in sorted(package.rglob("*.py")):
+        text = path.read_text()
+        found.append((path, text, ast.parse(text)))
+    return found
+
+
 def quoted_ids(package: Path = PACKAGE) -> set[str]:
     """Ids of effects that stand as texts in the code of the package, but for the benchmark: its
     twins are written apart and say what they withhold.
     """
     ids = effect_ids()
     found = set()
-    for path in package.rglob("*.py"):
+    for path, _, tree in sources(package):
         if path.parent == package / "benchmark":
             continue
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(tree):
             if isinstance(node, ast.Constant) and node.value in ids:
                 found.add(node.value)
     return found
@@ -110,12 +121,11 @@ def figures(package: Path = PACKAGE) -> dict[str, float]:
     """The counts, by what they count."""
     count: Counter[str] = Counter()
     classes: Counter[str] = Counter()
-    for path in sorted(package.rglob("*.py")):
-        text = path.read_text()
+    for _, text, tree in sources(package):
         count["files"] += 1
         for name, number in _of_text(text):
             count[name] += number
-        for node in ast.walk(ast.parse(text)):
+        for node in ast.walk(tree):
             for name, number in _of_node(node):
                 count[name] += number
             if isinstance(node, ast.ClassDef):
@@ -142,6 +152,7 @@ def written(page: str, found: dict[str, float]) -> str:
 
 
 if __name__ == "__main__":
+    found = figures()
     if "--write" in sys.argv:
-        PAGE.write_text(written(PAGE.read_text(), figures()))
-    print(table(figures()))
+        PAGE.write_text(written(PAGE.read_text(), found))
+    print(table(found))

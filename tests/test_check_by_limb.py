@@ -16,7 +16,8 @@ from jaxid.conventions.missing_force import ForceFit, measured, NEIGHBOURS
 from jaxid.conventions.readings import exchanged, scaled_joint
 from jaxid.problem.binding import bind
 from jaxid.robots.limbs import limbs_of
-from test_robot_goals import limb, moving, robot, swinging
+from simulated import Simulator
+from test_robot_goals import limb, recording, robot, swinging
 
 
 TWO = (limb("left"), limb("right", axis="0 1 0.3", x=0.5))
@@ -24,9 +25,14 @@ TWO = (limb("left"), limb("right", axis="0 1 0.3", x=0.5))
 
 @pytest.fixture(scope="module")
 def recorded() -> tuple[object, jaxid.Dataset]:
-    model = robot(*TWO)
-    goal = swinging()
-    return model, moving(model, np.concatenate([goal, 0.7 * np.roll(goal, 130)], axis=1))
+    model, dt = robot(*TWO), 0.01
+    one = swinging(dt=dt)
+    goal = np.concatenate([one, 0.7 * np.roll(one, 130)], axis=1)
+    chain = bind(model, recording(model, goal, goal, dt), splits=False).chain
+    own = Simulator(chain, dt * np.arange(len(goal)), goal)
+    (q,) = own.outputs(own.layout.values[None])
+    noise = 1e-4 * np.random.default_rng(0).standard_normal(q.shape)
+    return model, recording(model, goal, q + noise, dt)
 
 
 @pytest.mark.slow

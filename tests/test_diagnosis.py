@@ -47,7 +47,7 @@ from jaxid.benchmark import numpy_twin as twins, plants  # noqa: E402
 
 DATA = Path(os.environ.get("JAXID_DATA", ROOT.parent / "shared" / "data"))
 NOISE = 3e-4
-CHOICE = ["load_dependent_friction", "quadratic_drag", "dead_zone"]
+CHOICE = ("load_dependent_friction", "quadratic_drag", "dead_zone")
 
 
 @functools.cache
@@ -85,17 +85,26 @@ def recording(model: str, seed: int, **truth) -> jaxid.Dataset:
     )
 
 
+@functools.cache
+def diagnosed(among: tuple[str, ...] | None, **truth) -> Any:
+    return jaxid.diagnose("pendulum", recording("pendulum", 1, **truth), effects=among)
+
+
 @pytest.mark.parametrize(
-    ("effect", "place", "truth", "parameters"),
+    ("effect", "place", "truth", "parameters", "among"),
     [
-        ("load_dependent_friction", "q", {"load": 0.1}, {"mu": 0.1}),
+        ("load_dependent_friction", "q", {"load": 0.1}, {"mu": 0.1}, CHOICE),
         pytest.param(
-            "input_delay", "tau", {"delay": 0.004}, {"delay": 0.004}, marks=pytest.mark.slow
+            "load_dependent_friction", "q", {"load": 0.1}, {"mu": 0.1}, None, marks=pytest.mark.slow
+        ),
+        pytest.param(
+            "input_delay", "tau", {"delay": 0.004}, {"delay": 0.004}, None, marks=pytest.mark.slow
         ),
     ],
 )
-def test_a_withheld_effect_is_named(effect, place, truth, parameters):
-    d = jaxid.diagnose("pendulum", recording("pendulum", 1, **truth))
+def test_a_withheld_effect_is_named(effect, place, truth, parameters, among):
+    """Among a few effects, and among all of them."""
+    d = diagnosed(among, **truth)
     assert d.which.verdict == "named"
     assert [(e.effect, e.location) for e in d.which.effects] == [(effect, place)]
     for name, value in parameters.items():
@@ -307,25 +316,15 @@ def written(
 
 
 def test_names_units_and_order_change_no_answer(tmp_path):
-    data = recording("pendulum", 1, load=0.1)
-    plain = written(
-        tmp_path / "a",
-        data,
-        [0, 1, 2, 3],
-        {"tau": "tau", "q": "q"},
-        {"tau": ("N m", 1.0), "q": ("rad", 1.0)},
-    )
     other = written(
         tmp_path / "b",
-        data,
+        recording("pendulum", 1, load=0.1),
         [3, 1, 2, 0],
         {"q": "enc_1", "tau": "cmd"},
         {"tau": ("mN m", 1e-3), "q": ("deg", np.pi / 180)},
     )
-    first, second = (
-        answer_of(jaxid.diagnose(None, jaxid.load_dataset(f), effects=CHOICE))
-        for f in (plain, other)
-    )
+    first = answer_of(diagnosed(CHOICE, load=0.1))
+    second = answer_of(jaxid.diagnose(None, jaxid.load_dataset(other), effects=CHOICE))
     assert first[0][0] == "named" and [x[:2] for x in first] == [x[:2] for x in second]
     for (_, _, a), (_, _, b) in zip(first, second, strict=True):
         assert a == pytest.approx(b, rel=1e-3)

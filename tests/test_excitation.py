@@ -103,6 +103,7 @@ def test_ur10_excitation_beats_the_published_one():
     assert made.content["clearance"]["height_m"] >= 0 and made.content["clearance"]["links_m"] > 0.1
 
 
+@pytest.mark.slow
 def test_links_stay_apart_and_above_the_floor(arm):
     q = arm.fourier(np.linspace(0, 10, 3001))[0]
     node, links = nodes(UR10(), q), links_of(UR10())

@@ -14,8 +14,12 @@ import reference as ref
 from jaxid.base.errors import UsageError
 from jaxid.data.dataset import Dataset
 from jaxid.data.limits import Limits
-from jaxid.excitation.discriminate import recorded
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.parameter_vector import ParameterVector
+from jaxid.excitation.discriminate import recorded, Rivals
 from jaxid.hardware.trajectory import Trajectory
+from jaxid.models import Pendulum
+from report_sample import sample_diagnosis
 
 
 RATE, NOISE = 200, 3e-4
@@ -116,17 +120,27 @@ def test_stated_limits_count(diagnosis):
     assert np.abs(np.gradient(e.y[:, 0], e.t)).max() <= 0.3 * (1 + 1e-9)
 
 
-def test_without_two_hypotheses_there_is_no_run(diagnosis):
-    alone = dataclasses.replace(diagnosis, rivals=None)
+def test_without_two_hypotheses_there_is_no_run():
+    alone = dataclasses.replace(sample_diagnosis(), rivals=None)
     with pytest.raises(UsageError, match="no two hypotheses"):
         alone.next_run()
 
 
-def test_nothing_is_designed_where_nothing_drives(diagnosis, recordings):
-    still = [dataclasses.replace(e, u=0 * e.u) for e in dataset(recordings).experiments]
-    quiet = dataclasses.replace(diagnosis.rivals, recorded=recorded(still, [0], [0]))
+def test_nothing_is_designed_where_nothing_drives():
+    still = dataset([(0 * T, np.sin(T), "fit")]).experiments
+    layout = ParameterVector(Chain(Pendulum()))
+    quiet = Rivals(
+        names=("one", "other"),
+        layout=layout,
+        theta=np.tile(layout.values, (2, 1)),
+        free=(),
+        slope=np.zeros(0),
+        information=np.zeros((0, 0)),
+        noise=np.array([NOISE]),
+        recorded=recorded(still, [0], [0]),
+    )
     with pytest.raises(UsageError, match="nothing drives"):
-        dataclasses.replace(diagnosis, rivals=quiet).next_run()
+        dataclasses.replace(sample_diagnosis(), rivals=quiet).next_run()
 
 
 @pytest.mark.slow

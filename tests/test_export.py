@@ -22,6 +22,7 @@ from jaxid.robots.export.save import save
 from jaxid.robots.export.targets import TARGETS
 from jaxid.robots.export.xml_text import XmlText
 from jaxid.simulation.mujoco_run import Driven, MujocoRobot
+from simulated import Simulator
 
 
 mujoco: Any = importlib.import_module("mujoco")
@@ -207,13 +208,12 @@ class Bench:
 
     def by_jaxid(self, cases):
         """Free runs with the numbers and effects of each case: one program, a lane each."""
-        from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder as Runs
-        from jaxid.fitting.scores import free_runs
         from jaxid.problem.binding import bind
 
         binding = bind(
             self.model, self.data, effects=[f"{e}@{where}" for e, where in NEUTRAL], splits=False
         )
+        own = Simulator(binding.chain, self.t, self.goals, whole=True)
         thetas = []
         for parameters, effects in cases:
             numbers = {
@@ -225,10 +225,9 @@ class Bench:
             for name, value in {**numbers, **parameters}.items():
                 theta[binding.layout.index(name)] = value
             thetas.append(theta)
-        runs = Runs(binding)
-        found = free_runs(runs, "fit", thetas, estimate_starts(runs, "fit", thetas))
+        assert own.layout.names == binding.layout.names
         names = [n for n, _ in binding.chain.signature.outputs]
-        return [np.asarray(one[0])[:, [names.index(j) for j in JOINTS]] for one in found]
+        return list(own.outputs(np.array(thetas))[:, :, [names.index(j) for j in JOINTS]])
 
     def by_mujoco(self, path: Path):
         from jaxid.robots.mjcf import read_mjcf

@@ -182,14 +182,16 @@ def test_the_matrices_are_those_of_the_energies():
         def lagrangian(p, pd):
             return arm.kinetic_energy(p, pd) - arm.potential_energy(p)
 
+        @quick_jit
+        def both(p, pd):
+            return arm.matrices(p, pd), equations_of_motion(lagrangian, p, pd)
+
         for _ in range(2):
             p, pd = (
                 jnp.array(rng.normal(size=6) * [1, 1, 0.1, 0.02, 0.1, 0.02]),
                 jnp.array(rng.normal(size=6) * 3),
             )
-            for own, known in zip(
-                arm.matrices(p, pd), equations_of_motion(lagrangian, p, pd), strict=True
-            ):
+            for own, known in zip(*both(p, pd), strict=True):
                 np.testing.assert_allclose(
                     np.asarray(own), np.asarray(known), rtol=1e-9, atol=1e-10
                 )

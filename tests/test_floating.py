@@ -21,6 +21,7 @@ from jaxid.problem.binding import resolve_model
 from jaxid.problem.momentum import momentum
 from jaxid.robots import dynamics
 from jaxid.robots.floating import floating
+from simulated import quick_jit
 
 
 T = np.arange(201) * 0.01
@@ -76,7 +77,7 @@ def compared(robot: Robot, model, n: int) -> float:
     """Largest difference of the accelerations at random states, spinning and drifting."""
     data, rng, worst = mujoco.MjData(model), np.random.default_rng(0), 0.0
     with float64():
-        solve = jax.jit(
+        solve = quick_jit(
             lambda q, v, tau: robot.vector_field(
                 0.0, (q, v), robot.drive(robot.signatures[0], tau, q, v)
             )[1]
@@ -148,7 +149,9 @@ def test_a_rollout_is_mujocos():
             )
             return new, y[0]
 
-        found = jax.jit(lambda y: jax.lax.scan(step, y, jnp.arange(10 * len(T)))[1])(ode.y0(q, qd))
+        found = quick_jit(lambda y: jax.lax.scan(step, y, jnp.arange(10 * len(T)))[1])(
+            ode.y0(q, qd)
+        )
     assert np.abs(np.asarray(found)[::10] - seen).max() < 1e-8
 
 
@@ -160,7 +163,7 @@ def test_momentum_is_conserved_and_mujocos():
     model = mujoco.MjModel.from_xml_string(text())
     data, rng = mujoco.MjData(model), np.random.default_rng(1)
     with float64():
-        own = jax.jit(lambda q, v: momentum(robot, q, v))
+        own = quick_jit(lambda q, v: momentum(robot, q, v))
         for _ in range(5):
             q, qd = rng.uniform(-1.2, 1.2, 7), rng.normal(size=7)
             placed(data, q[4:], q[:4], spin_of(q[4:], qd[4:], qd[4:])[0], qd[:4])
@@ -177,8 +180,8 @@ def test_gradients_are_finite_also_at_rest():
         def field(robot, q):
             return jnp.sum(robot.vector_field(0.0, (q, still), still + 0.1)[1])
 
-        slope = jax.jit(jax.grad(lambda q: field(robot, q)))(still + 0.2)
-        mass = jax.jit(jax.grad(lambda m: field(replace_mass(robot, m), still + 0.2)))(
+        slope = quick_jit(jax.grad(lambda q: field(robot, q)))(still + 0.2)
+        mass = quick_jit(jax.grad(lambda m: field(replace_mass(robot, m), still + 0.2)))(
             jnp.asarray(robot.mass)
         )
     assert (
@@ -222,10 +225,9 @@ UNKNOWN = {"mass@a2": (1.6,), "com_x@a2": (0.1,), "com_y@a2": (0.05,)}
 TRUTH = {"mass@a2": 1.1, "com_x@a2": 0.15, "com_y@a2": 0.0}
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize(
-    "seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("seed", [0, 1, 2])
 def test_identification_by_momentum(runs, seed):
     """Neither torque nor acceleration: the last body's mass and centre within their intervals."""
     t, u, y = runs

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -46,11 +47,15 @@ AT_HAND = {
 }
 
 
-def modules() -> Iterator[tuple[str, ast.Module]]:
+@cache
+def modules() -> list[tuple[str, ast.Module]]:
+    found = []
     for top in ("jaxid", "models", "fitters"):
         for file in sorted((ROOT / top).rglob("*.py")):
             parts = file.relative_to(ROOT).with_suffix("").parts
-            yield ".".join(parts[1:] if top == "jaxid" else parts), ast.parse(file.read_text())
+            name = ".".join(parts[1:] if top == "jaxid" else parts)
+            found.append((name, ast.parse(file.read_text())))
+    return found
 
 
 def imported(node: ast.AST) -> Iterator[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -33,8 +34,13 @@ def prose(page: Path) -> str:
     return re.sub(r"`[^`]*`|\$[^$]*\$", "X", text)
 
 
-def messages(source: Path) -> Iterator[tuple[int, str]]:
+@cache
+def messages(source: Path) -> list[tuple[int, str]]:
     """(line, text) of each string that is no docstring and no name."""
+    return list(_messages(source))
+
+
+def _messages(source: Path) -> Iterator[tuple[int, str]]:
     tree = ast.parse(source.read_text())
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     docstrings = set()
