@@ -22,6 +22,7 @@ from jaxid.report.carry import values_to_write
 from jaxid.report.display import write
 from jaxid.report.identified import base_rows
 from jaxid.report.missing_force import draw_spectrum, spectrum
+from jaxid.report.text import parameter_rows
 from jaxid.robots.contacts import NOT_SIMULATED
 from jaxid.robots.export.target import ExportRow
 from jaxid.study.page import _counted as counted
@@ -612,3 +613,10 @@ def test_only_commands_that_run_are_proposed(ways, commands):
         rows = [ExportRow("armature", "lift", "", 0.1, "kg m^2", how, "") for how in ways]
     lines = carry._commands(rows, "mjcf", "diagnosis.json", "robot.xml")
     assert [line.split()[1] for line, _ in lines] == commands
+
+
+def test_a_number_has_one_name_on_a_page_and_in_tables():
+    fit = sample_diagnosis().final
+    assert fit.effects
+    names = [name for name, _ in parameter_rows(fit)]
+    assert names == list(fit.to_frame()["parameter"])

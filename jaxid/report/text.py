@@ -365,11 +365,13 @@ def joint_table(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def parameter_rows(fit: Fit) -> list[tuple[str, Estimate]]:
-    """The model's parameters, then those of its effects as `effect@location.parameter`."""
+    """The model's parameters, then those of its effects, by the names that they have in a
+    fit: `effect.parameter@location`.
+    """
     rows = list(fit.parameters.items())
     for effect in fit.effects:
         rows += [
-            (f"{effect.effect}@{effect.location}.{name}", p)
+            (f"{effect.effect}.{name}@{effect.location}", p)
             for name, p in effect.parameters.items()
         ]
     return rows
