@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
 import tty
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from hypothesis import given, HealthCheck, settings, strategies as st
 
 from emulators import Emulator, hand_over, PATIENT_S, servoing, SLACK_S, stops
 from jaxid.base.errors import UsageError
+from jaxid.cli.app import main
 from jaxid.data.io import load_dataset
 from jaxid.hardware import HardwareError, Limits, record, recover, SensorSpec, Trajectory, UR
 from jaxid.hardware.link import Driver
@@ -556,3 +558,22 @@ def test_a_real_controller_is_recorded(tmp_path):
     """Watches only; nothing moves."""
     result = record(UR(os.environ["JAXID_UR_HOST"]), tmp_path / "out", 10.0)
     assert result.complete and result.lost == 0 and result.duplicated == 0
+
+
+def test_the_command_records_what_an_emulator_sends(tmp_path):
+    """As the README types it, with a robot's file that names one of the six joints."""
+    emulator = Emulator.ur(tmp_path)
+    robot, out = tmp_path / "robot.xml", tmp_path / "out"
+    robot.write_text(
+        """<mujoco><worldbody><body><joint name="lift" axis="0 1 0"/>
+<inertial pos="0 0 -0.3" mass="20" diaginertia="0.6 0.6 0.1"/></body></worldbody></mujoco>
+"""
+    )
+    words = ["record", "ur10", "--host", emulator.address, "--seconds", "2", "--out", str(out)]
+    try:
+        assert main([*words, "--model", str(robot), "--joint", "2"]) == 0
+    finally:
+        emulator.close()
+    channels = tomllib.loads((out / "dataset.toml").read_text())["channels"]
+    assert channels["lift"]["column"] == "q2" and channels["lift_cmd"]["column"] == "q2_cmd"
+    assert (out / "robot.xml").is_file()

@@ -1,6 +1,7 @@
 """The README's code runs as it stands there."""
 
 import importlib
+import json
 import math
 import re
 import shlex
@@ -146,8 +147,9 @@ ELSEWHERE = {
     "replay": ("test_readme.py", r"typed\(ROBOT\)"),
     "identify": ("test_identification.py", r'\["identify", str\(tmp_path / "data"\), "--out"'),
     "reproduce": ("test_papers.py", r'main\(\["reproduce", paper, "--out"'),
-    "record": ("test_view.py", r'"record", "dynamixel", "--port"'),
-    "emulate": ("emulators.py", r'"emulate",\s+\*arguments'),
+    "record ur10": ("test_hardware_ur.py", r'"record", "ur10", "--host"'),
+    "record dynamixel": ("test_view.py", r'"record", "dynamixel", "--port"'),
+    "emulate ur10": ("emulators.py", r'"emulate",\s+\*arguments'),
     "view": ("test_view.py", r'"jaxid", "view", "with", "without"'),
     "watch": ("test_view.py", r'"jaxid", "watch", "data"'),
 }
@@ -158,10 +160,23 @@ ROWS = [
 ]
 
 
+#: Commands in the text beside the table, with more than a name and its option.
+(OF_THE_TEXT,) = (
+    command
+    for command in re.findall(r"`(jaxid [^`]*)`", re.sub(r"(?m)^\|.*$|```[^`]*```", "", README))
+    if len(command.split()) > 3
+)
+
+
+def elsewhere(words: list[str]) -> bool:
+    """Whether another test types a row of the table."""
+    return words[0] in ELSEWHERE or " ".join(words[:2]) in ELSEWHERE
+
+
 @pytest.mark.parametrize("name", ELSEWHERE)
 def test_rows_of_the_table_that_others_type_are_typed_there(name):
     file, line = ELSEWHERE[name]
-    assert name in {words[0] for words in ROWS}
+    assert any(" ".join(words).startswith(name) for words in ROWS)
     assert re.search(line, (ROOT / "tests" / file).read_text()), file
 
 
@@ -176,7 +191,7 @@ def test_the_other_rows_of_the_table_run_as_they_are_typed(tmp_path, monkeypatch
     toml.write_text(toml.read_text() + '\n[model]\nname = "pendulum"\n')
     study = 'name = "s"\nstore = "batch"\n[[runs]]\ncommand = "fit"\ndatasets = ["bench"]\n'
     Path("study.toml").write_text(study)
-    own = [words for words in ROWS if words[0] not in ELSEWHERE]
+    own = [words for words in ROWS if not elsewhere(words)]
     for words in own:
         filled: list[str] = []
         for word in words:
@@ -184,6 +199,39 @@ def test_the_other_rows_of_the_table_run_as_they_are_typed(tmp_path, monkeypatch
         assert main(filled) == 0, filled
     made = {path.name for path in tmp_path.iterdir() if path.is_dir()}
     assert {words[0] for words in own if "DIR" in words} | {"batch", "benchmark"} <= made
+
+
+@pytest.mark.parametrize("listed", [w for w in ROWS if w[0] in ("models", "effects", "fitters")])
+def test_what_there_is_is_listed_and_each_described_by_its_name(listed, capsys):
+    assert main([*listed, "--json"]) == 0
+    first = json.loads(capsys.readouterr().out)[0]["name"]
+    assert main([*listed, first]) == 0 and first in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_the_command_for_an_own_model_runs_as_it_is_typed(tmp_path, monkeypatch, capsys):
+    """A cart on a spring that lacks nothing."""
+    monkeypatch.chdir(tmp_path)
+    Path("spring_cart.py").write_text(OWN_MODEL)
+    t, position, speed, places = np.arange(800) / 100, 0.0, 0.0, []
+    force = 4 * np.sin(3.1 * t) + 2 * np.sin(8.2 * t)
+    for push in force:
+        places.append(position)
+        for _ in range(100):
+            speed += 1e-4 * (push - 1.5 * speed - 40 * position) / 2
+            position += 1e-4 * speed
+    noise = 1e-5 * np.random.default_rng(0).standard_normal(t.size)
+    data = jaxid.Dataset.from_arrays(
+        t,
+        {"force": force},
+        {"position": np.array(places) + noise},
+        units={"force": "N", "position": "m"},
+        at_rest=True,
+        noise_std={"position": 1e-5},
+    )
+    jaxid.save_dataset(data, "my_robot")
+    typed([OF_THE_TEXT])
+    assert "Nothing is missing" in capsys.readouterr().out
 
 
 def pendulum_log(file: Path) -> None:
