@@ -78,22 +78,21 @@ def the_picture_shows(diagnosis: jaxid.Diagnosis) -> None:
     assert f"{percent(far.shrinkage)} of the gap closed" in words
 
 
-def test_the_recipes_for_a_model_and_an_effect_fit():
-    made: dict = {}
-    for block in (OWN_MODEL, OWN_EFFECT):
-        exec(block, made)
+def sprung_cart() -> jaxid.Dataset:
+    """Mass 2 kg, stiffness 40 N/m, viscous 1.5 N s/m: exact by the matrix exponential of the held
+    force.
+    """
+    from scipy.linalg import expm
+
     t = np.arange(600) / 100
     rng = np.random.default_rng(0)
     u = 4 * np.sin(2 * np.pi * 0.5 * t) + 2 * np.sin(2 * np.pi * 1.3 * t)
-    # mass 2, stiffness 40, viscous 1.5: exact by the matrix exponential of the held input
-    from scipy.linalg import expm
-
     step = expm(np.array([[0, 1, 0], [-20, -0.75, 0.5], [0, 0, 0]]) * 0.01)
     x, q = np.zeros(2), []
     for force in u:
         q.append(x[0])
         x = (step @ np.append(x, force))[:2]
-    data = jaxid.Dataset.from_arrays(
+    return jaxid.Dataset.from_arrays(
         t,
         {"force": u},
         {"position": np.array(q) + 1e-5 * rng.standard_normal(600)},
@@ -101,6 +100,13 @@ def test_the_recipes_for_a_model_and_an_effect_fit():
         at_rest=True,
         noise_std={"position": 1e-5},
     )
+
+
+def test_the_recipes_for_a_model_and_an_effect_fit():
+    made: dict = {}
+    for block in (OWN_MODEL, OWN_EFFECT):
+        exec(block, made)
+    data = sprung_cart()
     fit = jaxid.fit(made["SpringCart"](), data, without=["coulomb_friction"])
     for name, truth in {"mass": 2.0, "stiffness": 40.0, "viscous": 1.5}.items():
         found = fit.parameters[name]
@@ -204,7 +210,7 @@ def test_the_other_rows_of_the_table_run_as_they_are_typed(tmp_path, monkeypatch
 @pytest.mark.parametrize("listed", [w for w in ROWS if w[0] in ("models", "effects", "fitters")])
 def test_what_there_is_is_listed_and_each_described_by_its_name(listed, capsys):
     assert main([*listed, "--json"]) == 0
-    first = json.loads(capsys.readouterr().out)[0]["name"]
+    first = json.loads(capsys.readouterr().out)[listed[0]][0]["name"]
     assert main([*listed, first]) == 0 and first in capsys.readouterr().out
 
 
@@ -213,23 +219,7 @@ def test_the_command_for_an_own_model_runs_as_it_is_typed(tmp_path, monkeypatch,
     """A cart on a spring that lacks nothing."""
     monkeypatch.chdir(tmp_path)
     Path("spring_cart.py").write_text(OWN_MODEL)
-    t, position, speed, places = np.arange(800) / 100, 0.0, 0.0, []
-    force = 4 * np.sin(3.1 * t) + 2 * np.sin(8.2 * t)
-    for push in force:
-        places.append(position)
-        for _ in range(100):
-            speed += 1e-4 * (push - 1.5 * speed - 40 * position) / 2
-            position += 1e-4 * speed
-    noise = 1e-5 * np.random.default_rng(0).standard_normal(t.size)
-    data = jaxid.Dataset.from_arrays(
-        t,
-        {"force": force},
-        {"position": np.array(places) + noise},
-        units={"force": "N", "position": "m"},
-        at_rest=True,
-        noise_std={"position": 1e-5},
-    )
-    jaxid.save_dataset(data, "my_robot")
+    jaxid.save_dataset(sprung_cart(), "my_robot")
     typed([OF_THE_TEXT])
     assert "Nothing is missing" in capsys.readouterr().out
 
