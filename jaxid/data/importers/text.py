@@ -206,11 +206,9 @@ def recognise(lines: Sequence[str], stated: StatedFormat = StatedFormat()) -> Te
 
 def _comment_sign(lines: Sequence[str]) -> str | None:
     """What the first comment among the first lines begins with."""
-    for line in lines[:1000]:
-        for sign in COMMENTS:
-            if line.lstrip().startswith(sign):
-                return sign
-    return None
+    begun = [line.lstrip() for line in lines[:1000]]
+    first = next(filter(lambda line: line.startswith(COMMENTS), begun), "")
+    return next(filter(first.startswith, COMMENTS), None)
 
 
 def _best_separators(
