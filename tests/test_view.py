@@ -402,6 +402,28 @@ def test_a_joint_that_stands_still_beside_one_that_moves_is_an_output(tmp_path):
     assert [c.name for c in data.outputs] == ["q1", "q2"]
 
 
+def test_a_recording_that_has_not_begun_is_waited_for(tmp_path):
+    """The page is there before anything moves, and the folder comes with the first rows."""
+    for folder in (tmp_path / "run", tmp_path):
+        found = Watcher(folder).look()
+        assert found == {"state": f"waiting for a recording in {folder}"}
+
+
+def test_what_is_there_is_said_before_the_numbers_are_found(recorded, monkeypatch):
+    """The first fit compiles for longer than a short recording takes."""
+    watcher, said = Watcher(recorded / "data"), []
+
+    def fit(*_: Any, **__: Any) -> Any:
+        said.append(watcher.told())
+        raise jaxid.UsageError("not now")
+
+    watcher._found = {"numbers": [], "state": "recording", "seconds": 1.0}
+    monkeypatch.setattr(jaxid, "fit", fit)
+    watcher.look()
+    assert said[0]["seconds"] > 5 and said[0]["numbers"] == []
+    assert said[0]["waiting"] == "numbers are looked for"
+
+
 def test_turns_are_counted_beyond_the_noise():
     t = np.linspace(0, 10, 2001)
     wave = np.sin(2 * np.pi * t) + 0.01 * np.random.default_rng(0).normal(size=t.size)
@@ -443,15 +465,15 @@ def test_a_servo_is_watched_while_it_is_recorded(tmp_path):
 @BROWSED
 @pytest.mark.timeout(600)
 def test_record_watch_opens_the_page_of_its_own_recording(tmp_path):
-    """The command itself, end to end: the address that the browser would be sent to is opened, and
-    Ctrl-C leaves a whole recording and no process that serves.
+    """The command itself, end to end: the address that the browser would be sent to is opened, it
+    stays when the recording has ended, and Ctrl-C leaves no process that serves.
     """
     emulator, out = Emulator.servo(tmp_path), tmp_path / "out"
     opener, told = tmp_path / "opener", tmp_path / "address"
     opener.write_text(f'#!/bin/sh\nprintf %s "$1" > {told}\n')
     opener.chmod(0o755)
     words = [sys.executable, "-m", "jaxid", "record", "dynamixel", "--port", emulator.address]
-    words += ["--id", "1", "--rate", "100", "--seconds", "300", "--out", str(out), "--watch"]
+    words += ["--id", "1", "--rate", "100", "--seconds", "5", "--out", str(out), "--watch"]
     environment = {**os.environ, "BROWSER": f"{opener} %s"}
     recording = subprocess.Popen(
         words,
@@ -471,11 +493,14 @@ def test_record_watch_opens_the_page_of_its_own_recording(tmp_path):
             browser.open(address)
             browser.wait("document.body.textContent.includes('Recording')")
             browser.wait("document.querySelector('.bk-GridPlot, [class*=GridPlot]') !== null")
+            said = "document.getElementById('said').textContent"
+            browser.wait(f"{said}.startsWith('The recording has ended')", 240)
+            assert recording.poll() is None, "the page stays"
     finally:
         recording.send_signal(signal.SIGINT)
         recording.wait(60)
         emulator.close()
-    assert (out / "dataset.toml").is_file()
+    assert recording.returncode == 0 and (out / "dataset.toml").is_file()
     assert parquet.read_metadata(out / "run_1.parquet").num_rows > 100
     with pytest.raises(urllib.error.URLError):
         urllib.request.urlopen(address)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 
 import click
@@ -17,6 +18,10 @@ from jaxid.base.stopping import ending
 from jaxid.cli import terminal
 from jaxid.cli.app import Commands, FAILED, SUCCESS
 from jaxid.cli.options import OUT, output_options
+
+
+#: Priority (`nice`) of what only looks on.
+GIVES_WAY = 5
 
 
 @click.group(cls=Commands)
@@ -63,7 +68,9 @@ def _common(command: Callable) -> Callable:
             help="A file, or a folder of `jaxid excite`.",
         ),
         click.option(
-            "--watch", is_flag=True, help="Show it in the browser, as `jaxid watch` does."
+            "--watch",
+            is_flag=True,
+            help="Show it in the browser, as `jaxid watch` does, until Ctrl-C.",
         ),
         click.option("--live", is_flag=True, help="Move. Without it a path is only checked."),
         click.option(
@@ -208,9 +215,9 @@ def recover(folder, as_json, quiet) -> int:
 
 
 @contextmanager
-def _watched(out: Path, model: str | None) -> Iterator[None]:
-    """While this is open, `jaxid watch` shows the recording: in a process of its own, which costs
-    the recording no time.
+def _watched(out: Path, model: str | None) -> Iterator[Callable[[], None]]:
+    """While this is open, `jaxid watch` shows the recording: in a process of its own, which is
+    there before anything moves and gives way to the recording. Gives what waits for Ctrl-C.
     """
     from jaxid.base.extras import required
 
@@ -219,15 +226,25 @@ def _watched(out: Path, model: str | None) -> Iterator[None]:
     words = [sys.executable, "-m", "jaxid", "watch", str(out)]
     if model is not None:
         words += ["--model", model]
-    shown = subprocess.Popen(words, stdout=sys.stderr, start_new_session=True)
+    shown = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, start_new_session=True)
+    assert shown.stdout is not None
     try:
-        yield
+        terminal.complain(shown.stdout.readline().strip() or "jaxid watch did not start")
+        os.setpriority(os.PRIO_PROCESS, shown.pid, GIVES_WAY)
+        yield lambda: _stays(shown)
     except UsageError:  # nothing was recorded, and the page has nothing to tidy up
         shown.kill()
         raise
     finally:
         shown.terminate()
         shown.wait()
+
+
+def _stays(page: subprocess.Popen) -> None:
+    """A page of a recording that has ended, until Ctrl-C."""
+    terminal.complain("the page stays until Ctrl-C; `jaxid watch` shows it again")
+    with suppress(KeyboardInterrupt):
+        page.wait()
 
 
 def _record(
@@ -244,28 +261,34 @@ def _record(
     # A batch system ends a job with SIGTERM, a lost connection with SIGHUP, and a shell has
     # background jobs ignore SIGINT: the device is let go in any case.
     before = {n: signal.signal(n, signal.default_int_handler) for n in {signal.SIGINT, *ending()}}
-    shown = _watched(out, options.get("model")) if watch else nullcontext()
+    recorded = play is None or options["live"]
+    shown = _watched(out, options["model"]) if watch and recorded else nullcontext(None)
+    code = SUCCESS
     try:
-        with shown, terminal.Progress(quiet) as progress:
-            result = record(
-                device,
-                out,
-                play=play,
-                limits=limits,
-                sensors=specs,
-                gain=gain,
-                constants=constants,
-                progress=progress.callback,
-                **options,
-            )
-    except HardwareError as error:
-        terminal.complain("; ".join([str(error), *getattr(error, "__notes__", [])]))
-        return FAILED
+        with shown as stays:
+            try:
+                with terminal.Progress(quiet) as progress:
+                    result = record(
+                        device,
+                        out,
+                        play=play,
+                        limits=limits,
+                        sensors=specs,
+                        gain=gain,
+                        constants=constants,
+                        progress=progress.callback,
+                        **options,
+                    )
+                _show(result, as_json, quiet, getattr(device, "advice", []))
+            except HardwareError as error:
+                terminal.complain("; ".join([str(error), *getattr(error, "__notes__", [])]))
+                code = FAILED
+            if stays is not None:
+                stays()
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    _show(result, as_json, quiet, getattr(device, "advice", []))
-    return SUCCESS
+    return code
 
 
 def _show(recording, as_json: bool, quiet: bool, advice=()) -> None:

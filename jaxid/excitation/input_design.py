@@ -114,7 +114,7 @@ def described(
         for k, name in enumerate(inputs):
             currents[_current(name, k, len(inputs))] = u[:, k] / gains[k]
     values = dict(zip(bench.names, bench.layout.values[bench.free].tolist(), strict=True))
-    notes = [_SIMULATED]
+    notes = [_SIMULATED if by_goals(chain) else f"{_SIMULATED}; {_OPEN_LOOP}"]
     zero = [name for name, value in values.items() if value == 0 and "offset" not in name]
     if zero:
         notes.append(
@@ -158,9 +158,9 @@ def described(
     return Excitation(dataset, commands | currents, {}, tuple(used), about)
 
 
-_SIMULATED = (
-    "outputs in run_1 are simulated at the assumed values, nothing here was measured; a"
-    " drive played in open loop moves as the machine does, not as the simulation: begin"
+_SIMULATED = "outputs in run_1 are simulated at the assumed values, nothing here was measured"
+_OPEN_LOOP = (
+    "a drive played in open loop moves as the machine does, not as the simulation: begin"
     " with a small --amplitude"
 )
 

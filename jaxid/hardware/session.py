@@ -39,7 +39,8 @@ from jaxid.hardware.trajectory import Trajectory
 
 SILENCE_S = 0.5  # a device that sends nothing for so long is lost
 BEAT_S = 0.01
-BUSY = "this computer was busy"
+MORE_ROOM = "play a path that leaves it more room (`jaxid excite --limits`)"
+BUSY, SILENT = "this computer was busy", "no data"
 ARMED_S = 15.0
 
 
@@ -329,10 +330,12 @@ def _run(
         watch.pauses.lap()
         allowed, text = bounds.data_age if watch.moving else SILENCE_S, str(error)
         why = "" if BUSY in text else watch.pauses.said(allowed)
-        if BUSY in text + why and watch.moving:
+        late = BUSY in text + why or SILENT in text
+        if late and watch.moving:
             why += (
                 f" (data_age allows {allowed:g} s while it moves: close other programs, or raise it"
-                " with --limits)"
+                f" where that is safe, by `data_age = {min(5 * allowed, 2.0):g}` in a file for"
+                " --limits)"
             )
         if not why:
             raise
@@ -413,7 +416,7 @@ def _refuse_silence(device: Device, watch: _RecordingWatch, most: float, now: fl
     age = now - watch.heard
     if age > most:
         moved = " while it moved" if watch.moving else ""
-        raise HardwareError(f"{device.name}: no data for {age:.2f} s{moved}")
+        raise HardwareError(f"{device.name}: {SILENT} for {age:.2f} s{moved}")
     if now - watch.asked <= ARMED_S:
         return
     if watch.phase == "loading":
@@ -432,6 +435,7 @@ def _judge(device: Device, bounds: Limits, sample: Sample, watch: _RecordingWatc
     why = device.alarm(sample.values, watch.phase == "playing")
     if why is None and watch.moving:
         why = bounds.violation(*device.measured(sample.values))
+        why = why and f"{why}; {MORE_ROOM}"
         tracking = getattr(device, "tracking", None)
         if (
             why is None

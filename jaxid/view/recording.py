@@ -35,6 +35,8 @@ from jaxid.view.server import bokeh_files, FILES, page, Site
 KNOWN = 0.1
 #: Samples of a channel that are drawn, and seconds between two looks at what was recorded.
 DRAWN, LOOK_S = 1500, 4.0
+#: What takes long to find: the last of it stands until there is newer.
+LOOKED_FOR = ("numbers", "share", "enough", "findings")
 #: Seconds before which nothing is concluded.
 FIRST_S = 3.0
 
@@ -81,10 +83,15 @@ class Watcher:
 
     def told(self) -> dict[str, Any]:
         """What the last look found."""
-        return self._found or {"state": "nothing was recorded yet"}
+        return self._found or self._nothing()
+
+    def _nothing(self) -> dict[str, Any]:
+        return {"state": f"waiting for a recording in {one_line(self.folder)}"}
 
     def look(self) -> dict[str, Any]:
         """Looks once at all that is there."""
+        if not self.folder.is_dir() or not any(self.folder.iterdir()):
+            return self._nothing()
         recording = self._written() is not None
         try:
             data = self._dataset()
@@ -103,6 +110,8 @@ class Watcher:
             checked = jaxid.check(None, data)
             answer["findings"] = [f.text for f in checked.findings]
             return answer | {"waiting": "name a model with --model to see which numbers are known"}
+        known = {name: self._found[name] for name in LOOKED_FOR if name in self._found}
+        self._found = {"waiting": "numbers are looked for"} | known | answer
         try:
             fit = jaxid.fit(self.model, data, residual="inverse_dynamics")
         except (DatasetError, UsageError) as error:

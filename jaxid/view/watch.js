@@ -49,20 +49,23 @@ async function channels() {
     }
 }
 
+function sentence(text) {
+  return text && text[0].toUpperCase() + text.slice(1) + (text.endsWith(".") ? "" : ".");
+}
+
 async function findings() {
   const found = await ask("told");
   const length = found.seconds === undefined ? "" : `, ${found.seconds.toFixed(1)} s`;
   said.className = found.enough ? "enough" : "";
   const verdict = found.enough ? "Enough: every number is known." : found.waiting || "";
-  const state = found.state[0].toUpperCase() + found.state.slice(1);
-  said.textContent = `${state}${length}. ${verdict}`;
+  said.textContent = `${sentence(found.state + length)} ${sentence(verdict)}`;
   told.replaceChildren();
   if (found.numbers)
     told.append(table(`Numbers by now: known to within ${100 * found.share} % of itself, or of the largest in its unit`, ["number", "value", "known"],
       found.numbers.map(n => [n.name, n.text, n.known ? "yes" : "not yet"])));
   if (found.excitation)
     told.append(table("Motion so far", ["channel", "range", "turned round"],
-      found.excitation.map(e => [e.channel, `${e.range.toPrecision(3)} ${e.unit}`, `${e.turns} times`])));
+      found.excitation.map(e => [e.channel, `${e.range.toPrecision(3)} ${e.unit}`, e.turns === 1 ? "once" : `${e.turns} times`])));
   if (found.findings) {
     told.append(element("h2", "What the recording says about itself"));
     const list = element("ul");
@@ -76,7 +79,8 @@ async function again() {
     await findings();
     await channels();
   } catch (error) {
-    said.textContent = `jaxid no longer answers (${error.message})`;
+    said.className = "";
+    said.textContent = `This page is no longer served (${error.message}). To see the recording again: jaxid watch and its folder.`;
   }
   setTimeout(again, 1000);
 }

@@ -99,7 +99,10 @@ def _play(
                     f"{busy(max(pause, overrun))}, and the controller's watchdog stops the arm"
                     f" meanwhile: {taken}"
                 )
-            raise RuntimeError(f"{taken}; is a program or a stop in the way?")
+            raise RuntimeError(
+                f"{taken}; is a program or a stop in the way, or was it silent for longer than its"
+                f" watchdog allows (data_age, {leash.longest_s:g} s)?"
+            )
         now = time.monotonic()
         if k in marks:
             link.send("mark", name=marks[k], at=now)
