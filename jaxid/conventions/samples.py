@@ -153,7 +153,7 @@ def glitch(dataset: Dataset, channel: Channel) -> Shown | None:
         return None
     parts = [(e, *timed) for e, *timed in _timed(dataset, channel) if len(timed[0]) > 30]
     found = [_lone(y, t) for _, t, y in parts]
-    count, total = sum(int(np.sum(lone)) for lone in found), sum(len(lone) for lone in found)
+    count, total = sum(int(np.sum(lone)) for lone in found), sum(map(len, found))
     if not count or count > FEW * total:
         return None
     off = max(_distance(y, t, lone) for (_, t, y), lone in zip(parts, found, strict=True))

@@ -391,7 +391,7 @@ def per_joint(
             f"[controller]: {key} is {value!r}; it is a number, a list of {len(joints)} (in the"
             f" order {', '.join(joints)}), or a table by joint"
         )
-    return tuple(float(v) for v in values)
+    return tuple(map(float, values))
 
 
 def file_law(tree: Tree, joints: Sequence[str]) -> DriveLaw:

@@ -247,7 +247,7 @@ def _numeric(body: Sequence[str], form: TextFormat) -> list[bool]:
         data = [c for c in written if form.is_data(c)]
         is_numeric = bool(written) and len(data) >= 0.9 * len(written)
         others = set(written) - set(data)
-        if not is_numeric and any(_TORN.fullmatch(c) for c in others):
+        if not is_numeric and any(map(_TORN.fullmatch, others)):
             return []
         numeric.append(is_numeric)
     return numeric
@@ -292,7 +292,7 @@ def _with_header(lines: Sequence[str], width: int, form: TextFormat) -> TextForm
     if not above:
         return form
     units = [_inside(c) for c in form.names(lines[above[0]]) if c]
-    if len(above) == 2 and 2 * len(units) >= width and all(_known(u) for u in units):
+    if len(above) == 2 and 2 * len(units) >= width and all(map(_known, units)):
         return replace(form, header=above[1] + 1, units=above[0] + 1)
     return replace(form, header=above[0] + 1)
 

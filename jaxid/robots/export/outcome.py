@@ -132,7 +132,7 @@ def outcome(content: Any) -> ExportOutcome:
         kind=kind,
         model=_name(content.get("model"), "model"),
         parameters={_name(k, "parameters"): _number(k, v) for k, v in parameters.items()},
-        effects=tuple(_effect(e) for e in effects),
+        effects=tuple(map(_effect, effects)),
         robot=robot_entry(robot),
         names=names,
         covariance=matrix,
