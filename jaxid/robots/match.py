@@ -218,10 +218,10 @@ def driving(dataset: Dataset, tree: Tree) -> Dataset:
     """The dataset with its goals as inputs where they alone can drive: no torque is an input, and
     the goals are auxiliary.
     """
-    can_drive = {joint + end for joint in tree.joints for end in ("", "_cmd", "_tau")}
-    if not can_drive.isdisjoint(dataset.input_names):
-        return dataset
     goal_names = {f"{joint}_cmd" for joint in tree.joints}
+    torques = {f"{joint}_tau" for joint in tree.joints}
+    if not {*tree.joints, *goal_names, *torques}.isdisjoint(dataset.input_names):
+        return dataset
     goals = [c.name for c in dataset.channels if c.role == "auxiliary" and c.name in goal_names]
     free = dataset.stated.free and dataset.controller is None
     if free or not goals:
