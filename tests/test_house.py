@@ -9,7 +9,7 @@ import measure_house
 
 #: The most that each may be. Lower a number when the code has become better; never raise one.
 LIMITS = {
-    measure_house.DENSITY: 22.9,
+    measure_house.DENSITY: 22.8,
     "fmt: skip": 14,
     "lines over 100 columns": 97,
     "thresholds without a recorded case": 16,

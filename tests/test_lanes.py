@@ -12,7 +12,18 @@ import pytest
 
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import ParameterVector
-from jaxid.models import FlexibleArm, Joint, MODELS, Panda, PlanarArm, Robot, SerialArm, UR10e
+from jaxid.models import (
+    FlexibleArm,
+    Joint,
+    MODELS,
+    Panda,
+    PlanarArm,
+    Robot,
+    SerialArm,
+    SpaceManipulator,
+    Tracker,
+    UR10e,
+)
 from jaxid.models.effects import Backlash, DeadZone, StribeckFriction
 from jaxid.numerics import batch_loop as lanes
 from jaxid.numerics.batch_loop import batched_vmap, laid_out, loop_over_time
@@ -163,8 +174,8 @@ def test_models_move_alike(mechanism, effects):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
 
 
-#: Minutes to compile, or another arm of six or seven joints, or a tree of bodies.
-LONG = FlexibleArm, SerialArm, Panda, UR10e, Robot
+#: Minutes to compile, or another arm of two, six or seven joints, or a tree of bodies.
+LONG = FlexibleArm, SerialArm, Panda, UR10e, Robot, SpaceManipulator, Tracker
 
 
 @pytest.mark.parametrize(

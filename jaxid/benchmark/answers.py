@@ -153,7 +153,7 @@ def _wrong_exam(exam: Any, asked: AnswerForm) -> Iterator[str]:
             yield f"key 'exam', {name!r}: the exam asks for {', '.join(asked.outputs) or 'nothing'}"
         elif not isinstance(values, list) or len(values) != count:
             yield f"key 'exam', {name!r}: it is not a list of {count} numbers"
-        elif not all(is_finite(x) for x in values):
+        elif not all(map(is_finite, values)):
             yield f"key 'exam', {name!r}: a value is not a number"
     if exam and set(asked.outputs) - set(exam):
         yield f"key 'exam': it lacks {', '.join(sorted(set(asked.outputs) - set(exam)))}"

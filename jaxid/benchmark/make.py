@@ -143,7 +143,7 @@ def numbers_of(name: str, seed: int, cases: int | None) -> list[int]:
     if cases is None or cases >= whole:
         return list(range(cases or whole))
     drawn = generator(seed, f"part of {name}").choice(whole, cases, replace=False)
-    return sorted(int(number) for number in drawn)
+    return sorted(map(int, drawn))
 
 
 def _written(

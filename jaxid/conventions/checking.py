@@ -156,7 +156,7 @@ def _usable(found: list[DataFinding], dataset: Dataset) -> bool:
 
 
 def _has_model(model: object, dataset: Dataset) -> bool:
-    return model is not None or (dataset.model is not None and dataset.model.name is not None)
+    return model is not None or dataset.stated.name is not None
 
 
 def _by_itself(dataset: Dataset, as_recorded: bool) -> tuple[list[DataFinding], Dataset, Mending]:

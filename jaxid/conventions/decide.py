@@ -259,10 +259,8 @@ def _rivals(fit: ForceFit, best: Judged, same: list[Judged]) -> list[Judged]:
 
 def _bounded(binding: Binding) -> bool:
     """Whether the user states bounds: what a free factor explains may be theirs."""
-    spec = binding.dataset.model
-    return spec is not None and any(
-        p.lower is not None or p.upper is not None for p in spec.parameters.values()
-    )
+    priors = binding.dataset.stated.parameters.values()
+    return any(p.lower is not None or p.upper is not None for p in priors)
 
 
 def _beyond(

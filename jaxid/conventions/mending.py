@@ -95,7 +95,7 @@ def _without(e: Experiment, left_out: tuple[tuple[str, int, int], ...]) -> Exper
 
 
 def _run(dataset: Dataset, e: Experiment, mending: Mending) -> Experiment:
-    past = None if e.past is None else _run(dataset, e.past, mending)
+    past = e.past_by(lambda before: _run(dataset, before, mending))
     left = ~e.read
     read: dict[str, tuple[np.ndarray, np.ndarray]] = {}
     for k, c in enumerate(dataset.inputs):

@@ -66,7 +66,7 @@ def measured(binding: Binding, each: int = 1) -> SampledMotion | None:
     chain = binding.chain
     if not binding.motions or chain.mechanism.hidden_states:
         return None
-    runs = [e for e in binding.dataset.experiments if e.split != "report"]
+    runs = binding.dataset.seen
     share = max(1, ROWS // max(1, len(runs)))
     parts = [p for k, e in enumerate(runs) if (p := _part(binding, e, share, k, each)) is not None]
     if not parts:
@@ -374,7 +374,7 @@ class ForceFit:
         theta = binding.theta.copy()
         theta[self.free] = numbers
         norm = self.norm(m, theta)
-        runs = [e for e in binding.dataset.experiments if e.split != "report"]
+        runs = binding.dataset.seen
         noisy = _noise_motion(binding, runs, rng, m)
         moved = replace(m, q=m.q + noisy[0], qd=m.qd + noisy[1], qdd=m.qdd + noisy[2])
         # Signs of slow velocities flip: no more than any reading would show, so only smooth parts

@@ -11,7 +11,6 @@ from math import pi
 
 import numpy as np
 
-from jaxid.base.wording import names_of
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.mending import lines, Mending
 from jaxid.data.dataset import Channel, Dataset, Experiment
@@ -29,6 +28,8 @@ LONGEST = 400_000  # samples of a run that are looked at
 FITS = 6.0
 #: Glitches are left out where they are few; more of a channel than that is its noise or its law.
 FEW = 0.02
+#: Ranges of counters that are no power of two.
+RANGES = np.array([360.0, 3600.0, 36000.0, 1000.0, 10000.0])
 #: Repeated rows: this many of the changes fall on every n-th row, and this many of these rows bring
 #: a change.
 IN_STEP, FRESH = 0.98, 0.6
@@ -48,22 +49,19 @@ class Shown:
 
 def series(dataset: Dataset, channel: Channel) -> Iterator[tuple[Experiment, np.ndarray]]:
     """Each run and the channel's samples in it [time]."""
-    group = (
-        dataset.inputs
-        if channel.role == "input"
-        else dataset.outputs
-        if channel.role == "output"
-        else ()
-    )
-    for e in dataset.experiments:
-        if channel.role == "auxiliary":
+    if channel.role == "auxiliary":
+        for e in dataset.experiments:
             if channel.name in e.auxiliary:
                 yield e, e.auxiliary[channel.name][:LONGEST]
-            continue
-        column = names_of(group).index(channel.name)
-        values = e.u if channel.role == "input" else e.y
-        keep = slice(None) if channel.role == "input" else e.read[:LONGEST, column]
-        yield e, values[:LONGEST, column][keep]
+        return
+    if channel.role == "input":
+        column = dataset.input_names.index(channel.name)
+        yield from ((e, e.u[:LONGEST, column]) for e in dataset.experiments)
+        return
+    column = dataset.output_names.index(channel.name)
+    for e in dataset.experiments:
+        values = e.y[:LONGEST, column]
+        yield e, values[e.read[:LONGEST, column]]
 
 
 def samples_of(dataset: Dataset, channel: Channel, e: Experiment) -> np.ndarray | None:
@@ -122,16 +120,12 @@ def _wraps(d: np.ndarray, period: float, usual: float, span: float) -> int | Non
 
 def _counter(channel: Channel, jump: float, usual: float) -> float | None:
     """A power of two or of ten of raw counts that is the range of a counter."""
-    s = channel.stated
-    raw = jump if s is None else jump / s.factor / abs(s.scale)
-    step = usual if s is None else usual / s.factor / abs(s.scale)
-    ranges = [2.0**k for k in range(8, 33)] + [360.0, 3600.0, 36000.0, 1000.0, 10000.0]
-    period = min(ranges, key=lambda p: abs(p - raw))
-    return (
-        period * (1.0 if s is None else s.factor * abs(s.scale))
-        if abs(period - raw) <= 3 * step
-        else None
-    )
+    stated = channel.stated
+    count = 1.0 if stated is None else stated.factor * abs(stated.scale)  # in the channel's unit
+    powers = count * 2.0 ** np.arange(8, 33)
+    ranges = np.array([*powers, *(count * RANGES)])
+    period = float(ranges[np.argmin(np.abs(ranges - jump))])
+    return period if abs(period - jump) <= 3 * usual else None
 
 
 def _wrapped(dataset: Dataset, channel: Channel, period: float, count: int) -> Shown:
@@ -159,7 +153,7 @@ def glitch(dataset: Dataset, channel: Channel) -> Shown | None:
         return None
     parts = [(e, *timed) for e, *timed in _timed(dataset, channel) if len(timed[0]) > 30]
     found = [_lone(y, t) for _, t, y in parts]
-    count, total = sum(int(np.sum(lone)) for lone in found), sum(len(lone) for lone in found)
+    count, total = sum(int(np.sum(lone)) for lone in found), sum(map(len, found))
     if not count or count > FEW * total:
         return None
     off = max(_distance(y, t, lone) for (_, t, y), lone in zip(parts, found, strict=True))

@@ -135,8 +135,8 @@ def shortened(dataset: Dataset, wanted: Need) -> Dataset:
         return e if stop >= len(e) else e.piece(0, stop, name=e.name, split=e.split)
 
     dataset = dataset.with_splits()
-    experiments = tuple(first(e) for e in dataset.experiments)
-    left = sum(len(e) for e in experiments)
+    experiments = tuple(map(first, dataset.experiments))
+    left = sum(map(len, experiments))
     note = (
         f"{wanted}: more than there is room or an hour for. The first part of each run is looked"
         f" at, {left:,} rows in all ({100 * part:.2g} %); choose others with `rows` or `window_s`"

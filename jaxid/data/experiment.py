@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 import numpy as np
-
-
-if TYPE_CHECKING:
-    pass
 
 
 def _frozen(values: Any, dtype: type = float) -> np.ndarray:
@@ -133,6 +129,10 @@ class Experiment:
     def duration(self) -> float:
         """Seconds from the first sample to the last."""
         return float(self.t[-1] - self.t[0])
+
+    def past_by(self, change: Callable[[Experiment], Experiment]) -> Experiment | None:
+        """The past, changed as the run is; None where there is none."""
+        return None if self.past is None else change(self.past)
 
     @property
     def whole(self) -> Experiment:

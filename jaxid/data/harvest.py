@@ -45,7 +45,7 @@ def selected(table: Table, entry: ExperimentEntry, harvest: Harvest) -> np.ndarr
             return None
         chosen = table.equal(column, value)
         if not chosen.any():
-            found = list(dict.fromkeys(str(c) for c in table.columns[column]))[:30]
+            found = list(dict.fromkeys(map(str, table.columns[column])))[:30]
             message = f"no row has {column} = {value!r}{nearest(str(value), found)}"
             harvest.problems.append(
                 DatasetProblem(table.file, None, column, message, "Correct `where`")

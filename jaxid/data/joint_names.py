@@ -217,7 +217,7 @@ def _experiment(
         y=stack(of("output")),
         auxiliary={n: columns[n] for n in of("auxiliary")},
         initial=initial,
-        past=None if e.past is None else _experiment(e.past, dataset, channels, new_name),
+        past=e.past_by(lambda past: _experiment(past, dataset, channels, new_name)),
         scatter=by_output(e.scatter),
         left_out=by_output(e.left_out),
     )

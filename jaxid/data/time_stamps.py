@@ -81,7 +81,7 @@ def with_scatter(
     def with_own(e: Experiment) -> Experiment:
         return replace(e, scatter=scatter(e), past=with_own(e.past) if e.past else None)
 
-    return replace(dataset, experiments=tuple(with_own(e) for e in dataset.experiments))
+    return replace(dataset, experiments=tuple(map(with_own, dataset.experiments)))
 
 
 def _speed(t: np.ndarray, y: np.ndarray, noise: float) -> np.ndarray:

@@ -126,7 +126,7 @@ def ranked(search: SearchResult) -> list[Ranked]:
     out, seen = [], set()
     nominal = search.nominal
     for h in sorted([*search.tried, search.chosen], key=lambda h: h.validation.loss):
-        key = frozenset(str(c) for c in h.effects)
+        key = frozenset(map(str, h.effects))
         if key in seen or not h.effects:
             continue
         seen.add(key)

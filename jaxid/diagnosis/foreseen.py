@@ -31,7 +31,7 @@ def foreseen(
 ) -> Need:
     """What a diagnosis of a model as it is given to a command will need."""
     nominal = resolve_model(model, dataset, without)
-    asked = first_asked() if effects is None else tuple(catalogue.enrolled(e) for e in effects)
+    asked = first_asked() if effects is None else tuple(map(catalogue.enrolled, effects))
     library = possible(nominal, asked, residual or "")
     way = way_of(nominal, residual or "")
     if way == "goals" and dataset.experiments and _is_dear(model, dataset, without):

@@ -224,9 +224,9 @@ def parts(
 
 def not_measured(*gaps: float) -> str | None:
     """Why nothing is said of gaps that are no numbers; None where all are."""
-    if all(math.isfinite(gap) for gap in gaps):
+    if all(map(math.isfinite, gaps)):
         return None
-    if any(math.isnan(gap) for gap in gaps):
+    if any(map(math.isnan, gaps)):
         return "no sample of these data could be compared"
     return "a simulation does not stay finite, so that its gap has no size"
 

@@ -196,7 +196,7 @@ def refined_by(c: Candidate, pool: Sequence[Candidate]) -> list[Candidate]:
 
 
 def key_of(effects: Sequence[Candidate]) -> frozenset[str]:
-    return frozenset(str(c) for c in effects)
+    return frozenset(map(str, effects))
 
 
 def effect_of(bench: ProblemBuilder, c: Candidate) -> Effect:

@@ -57,7 +57,7 @@ def rivals_of(bench: ProblemBuilder, pair: tuple[Hypothesis, Hypothesis]) -> Riv
 
 
 def words(h: Hypothesis) -> str:
-    return " and ".join(str(c) for c in h.effects) or "the model as it is"
+    return " and ".join(map(str, h.effects)) or "the model as it is"
 
 
 def advice(

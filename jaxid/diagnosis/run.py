@@ -42,7 +42,7 @@ def run_diagnosis(
     reference: ReferenceNumbers | None = None,
 ) -> Diagnosis:
     """See `jaxid.diagnose`. On Ctrl-C `Interrupted` carries what is known."""
-    asked = None if effects is None else tuple(catalogue.enrolled(e) for e in effects)
+    asked = None if effects is None else tuple(map(catalogue.enrolled, effects))
     known, without = Interim(), tuple(without)
 
     def question(by: Residual | None) -> DiagnosisQuestion:
@@ -88,7 +88,7 @@ def begin_compiling(
             return
         allowed = first_asked()
         if effects is not None:
-            allowed = tuple(catalogue.enrolled(e) for e in effects)
+            allowed = tuple(map(catalogue.enrolled, effects))
         read = looked_at(nominal, dataset, possible(nominal, allowed, ""))
         binding = bind(model, read, without=without)
     except UsageError:  # is said by who needs it

@@ -263,7 +263,7 @@ def _channels(
                 f"[controller]: {key} names {name!r}, no auxiliary"
                 f" channel{nearest(str(name), have)}"
             )
-    return tuple(str(name) for name in names)
+    return tuple(map(str, names))
 
 
 def _references(have: Sequence[str], key: str, signature: Signature) -> tuple[str, ...]:

@@ -122,7 +122,7 @@ def modified_dh(
         drive_inertia=number["drive_inertia"],
         b=np.zeros(n),
         gamma=np.zeros(n),
-        prismatic=tuple(bool(p) for p in columns["prismatic"]),
+        prismatic=tuple(map(bool, columns["prismatic"])),
         inertia=np.zeros((n, 10)),
         tool=np.eye(4) if tool is None else np.asarray(tool, np.float64),
     )

@@ -166,7 +166,7 @@ def _task(chain: Chain, friction: str) -> tuple[Any, list[str], int]:
     names = names_of(base, law, n)
     if law.nonlinear:
         names = names + [f"exponent{j + 1}" for j in range(n)]
-    task = ArmTask(arm, exponent, level, tuple(int(i) for i in base.kept), law)
+    task = ArmTask(arm, exponent, level, tuple(map(int, base.kept)), law)
     return task, names, len(base.kept)
 
 

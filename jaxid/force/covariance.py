@@ -40,7 +40,7 @@ def null_directions(
     for vector in vectors[:, null].T:
         members = np.flatnonzero(np.abs(vector) > 1e-3)
         identifiable[index[members]] = False
-        groups.append(tuple(int(i) for i in index[members]))
+        groups.append(tuple(map(int, index[members])))
     if not null.any():
         inverse = np.linalg.inv(scaled[np.ix_(index, index)])
         d = np.sqrt(np.diag(inverse))
@@ -49,8 +49,8 @@ def null_directions(
         for i in range(len(index)):
             members = np.flatnonzero(tied[i])
             if i not in seen and members.size > 1:
-                seen.update(int(m) for m in members)
-                groups.append(tuple(int(k) for k in index[members]))
+                seen.update(map(int, members))
+                groups.append(tuple(map(int, index[members])))
     return identifiable, tuple(dict.fromkeys(groups))
 
 
@@ -179,7 +179,7 @@ class RowNoise:
 
     @property
     def count(self) -> int:
-        return sum(len(r) for r in self.series)
+        return sum(map(len, self.series))
 
     @property
     def freedom(self) -> int:

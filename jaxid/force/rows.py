@@ -32,7 +32,7 @@ class ForceRows:
         columns: Sequence[Float[np.ndarray, "samples joints numbers"]],
         torque: Sequence[Float[np.ndarray, "samples joints"]],
     ) -> ForceRows:
-        return cls(tuple(columns), tuple(torque), tuple(len(tau) for tau in torque))
+        return cls(tuple(columns), tuple(torque), tuple(map(len, torque)))
 
     @property
     def joints(self) -> int:

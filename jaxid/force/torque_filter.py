@@ -263,7 +263,7 @@ def decimated_torque_lane(taps: Float[np.ndarray, " taps"]) -> Lane:
     """`inverse_dynamics_rollout` followed by a zero-phase low-pass over time; equal filters share
     one lane, hence one program.
     """
-    return _decimated(tuple(float(x) for x in taps))
+    return _decimated(tuple(map(float, taps)))
 
 
 @functools.cache

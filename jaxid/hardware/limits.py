@@ -42,7 +42,7 @@ class Clamp:
 
     def __call__(self, command: Sequence[float]) -> tuple[float, ...]:
         """The command as it may be sent. Raises `Refused` for NaN, infinity or a wrong length."""
-        if len(command) != len(self.lower) or not all(math.isfinite(v) for v in command):
+        if len(command) != len(self.lower) or not all(map(math.isfinite, command)):
             raise Refused(
                 f"a command must be {len(self.lower)} finite numbers, not {list(command)}"
             )

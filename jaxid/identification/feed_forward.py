@@ -38,7 +38,7 @@ class _Geometry:
             setattr(self, name, np.asarray(content[name], float))
         for name in PLACE:
             setattr(self, name, float(content[name]))
-        self.prismatic = tuple(bool(p) for p in content["prismatic"])
+        self.prismatic = tuple(map(bool, content["prismatic"]))
 
 
 @dataclass(frozen=True)

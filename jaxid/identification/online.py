@@ -126,7 +126,7 @@ class OnlineIdentification:
                 return jnp.asarray(np.broadcast_to(np.asarray(v, np.float64), k))
 
             leaves, structure = jax.tree.flatten(arm)
-            shapes = tuple(np.shape(a) for a in leaves)
+            shapes = tuple(map(np.shape, leaves))
             settings = [
                 np.broadcast_to(exponent, n),
                 np.broadcast_to(noise_var, n),
@@ -137,7 +137,7 @@ class OnlineIdentification:
             )
             self.watched = watched_of(self.base, n)
             self._update = _program(
-                structure, shapes, tuple(int(i) for i in self.base.kept), self.watched
+                structure, shapes, tuple(map(int, self.base.kept)), self.watched
             )
             self._numbers = jnp.asarray(numbers)
             zero = jnp.zeros(())

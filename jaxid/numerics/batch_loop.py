@@ -287,7 +287,7 @@ class _Lanes:
 
     def _together(self, operation: Callable[..., Any], *elements: Any) -> Any:
         """An operation on elements, of which some may be the same for all lanes."""
-        cost = 1 + sum(self._cost(e) for e in elements)
+        cost = 1 + sum(map(self._cost, elements))
         if not any(e.ndim for e in elements):
             return operation(*elements)
         result = operation(*(jnp.broadcast_to(e, (self.lanes,)) for e in elements))
@@ -303,7 +303,7 @@ class _Lanes:
         if name in ELEMENTWISE:
             return [self._elementwise(eqn, arrays)]
         if name in REDUCTIONS:
-            axes = tuple(int(a) for a in params["axes"])
+            axes = tuple(map(int, params["axes"]))
             return [self._reduced(REDUCTIONS[name], arrays[0], axes)]
         if name == "dot_general":
             return self._product(params["dimension_numbers"], arrays)
@@ -319,7 +319,7 @@ class _Lanes:
         wide = [np.broadcast_to(a, out.shape) for a in arrays]
         for place in np.ndindex(out.shape):
             elements = tuple(a[place] for a in wide)
-            key = tuple(id(e) for e in elements)  # what was broadcast is worked out once
+            key = tuple(map(id, elements))  # what was broadcast is worked out once
             if key not in done:
                 done[key] = self._together(operation, *elements)
                 if eqn.primitive.name in EXPENSIVE:

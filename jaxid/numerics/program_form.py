@@ -142,7 +142,7 @@ def rearranged(
     if name == "reshape":
         return [x.reshape(params["new_sizes"])]
     if name == "squeeze":
-        return [x.squeeze(tuple(int(d) for d in params["dimensions"]))]
+        return [x.squeeze(tuple(map(int, params["dimensions"])))]
     if name == "transpose":
         return [x.transpose(params["permutation"])]
     if name == "slice":

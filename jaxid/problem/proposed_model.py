@@ -82,7 +82,7 @@ def without_a_model(dataset: Dataset) -> str:
             f" (--model robot.xml), a model of your own (--model mine.py), or one of {names}"
         )
     first = found[0]
-    models = "; or ".join(str(model) for model in found)
+    models = "; or ".join(map(str, found))
     if first.renamed:
         lines = [f"[channels.{other}] column = {own!r}" for own, other in first.renamed.items()]
         return (

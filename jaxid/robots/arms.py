@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.base.errors import UsageError
-from jaxid.data.dataset import Channel, Dataset, Experiment, ModelSpec
+from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.robots.chain_table import table_of
 from jaxid.robots.channels import goal, torque
 from jaxid.robots.match import matched, notes_of, prepared
@@ -56,7 +56,7 @@ def as_arm(model: object, dataset: Dataset) -> tuple[Any, Dataset]:
     said = (note,) if law is None else (note, "torque is what the law asked for")
     order = {f"q{k + 1}": j for k, j in enumerate(tree.joints)}
     spec = replace(
-        dataset.model or ModelSpec(),
+        dataset.stated,
         name="serial_arm",
         geometry=None,
         constants=named,

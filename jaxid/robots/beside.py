@@ -37,7 +37,7 @@ def as_inputs(dataset: Dataset, names: Sequence[str]) -> Dataset:
         columns = dict(zip(before, e.u.T, strict=True)) | e.auxiliary
         rest = {k: v for k, v in e.auxiliary.items() if k not in chosen}
         u = np.stack([columns[name] for name in order], 1)
-        return replace(e, u=u, auxiliary=rest, past=None if e.past is None else one(e.past))
+        return replace(e, u=u, auxiliary=rest, past=e.past_by(one))
 
     experiments = tuple(map(one, dataset.experiments))
     return replace(dataset, channels=tuple(moved), experiments=experiments)
@@ -63,7 +63,7 @@ def left_out(dataset: Dataset, names: Sequence[str]) -> Dataset:
             initial=(
                 None if e.initial is None else {k: v for k, v in e.initial.items() if k not in gone}
             ),
-            past=None if e.past is None else one(e.past),
+            past=e.past_by(one),
         )
 
     kept = tuple(c for c in dataset.channels if c.name not in gone)
@@ -76,13 +76,12 @@ def with_rates(dataset: Dataset, tree: Tree) -> Dataset:
 
     Raises `UsageError` for one that is not recorded.
     """
+    if dataset.controller is None:
+        return dataset
+    stated = dataset.controller.settings.get("reference_velocity")
     inputs = set(dataset.input_names)
-    stated = (
-        dataset.controller.settings.get("reference_velocity")
-        if dataset.controller is not None
-        else None
-    )
-    if stated in (None, "none", "difference") or not any(f"{j}_cmd" in inputs for j in tree.joints):
+    goals = {f"{joint}_cmd" for joint in tree.joints}
+    if stated in (None, "none", "difference") or goals.isdisjoint(inputs):
         return dataset
     joints = [j for j in tree.leading if f"{j}_cmd" in inputs]
     have = [c.name for c in dataset.channels if c.role != "output"]
@@ -130,7 +129,7 @@ def with_base(dataset: Dataset, tree: Tree) -> Dataset:
     `UsageError` for a channel that is no angle, and where the file has a joint of the name that
     such an input gets.
     """
-    kind = dataset.model.base.get("kind", "fixed") if dataset.model is not None else "fixed"
+    kind = dataset.stated.base.get("kind", "fixed")
     recorded = base_channels(dataset, tree)
     if not recorded or rides(dataset) or kind == "free":
         return dataset
@@ -153,7 +152,7 @@ def with_base(dataset: Dataset, tree: Tree) -> Dataset:
         columns = motion.transpose(2, 1, 0).reshape(len(e.t), -1)
         rest = {k: v for k, v in e.auxiliary.items() if k not in recorded}
         u = np.concatenate([e.u[:, kept], columns], 1)
-        return replace(e, u=u, auxiliary=rest, past=None if e.past is None else one(e.past))
+        return replace(e, u=u, auxiliary=rest, past=e.past_by(one))
 
     ride: list[Channel] = []
     for end, unit in {"": "rad", "_qd": "rad/s", "_qdd": "rad/s^2"}.items():

@@ -132,7 +132,7 @@ def ground_of(dataset: Dataset, tree: Tree) -> Ground | None:
 
 def _looked_at(dataset: Dataset, tree: Tree) -> Shapes | None:
     """The compiled shapes of a file whose contacts count; None where none do."""
-    ignored = dataset.model is not None and dataset.model.contacts is False
+    ignored = dataset.stated.contacts is False
     if ignored or tree.floats or not tree.text or _of_speed_alone(dataset, tree):
         return None
     return _shapes(tree.text, tree.file)

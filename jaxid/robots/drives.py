@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxid.base.errors import nearest, UsageError
+from jaxid.base.numbers import is_finite, is_number
 from jaxid.data.dataset import Controller, Dataset, ModelSpec, ParameterPrior
 from jaxid.dynamics.effect import LONGEST_DELAY_S
 from jaxid.robots.beside import rates_of
@@ -331,8 +332,7 @@ def _spread(stated: Any, can: Sequence[str]) -> dict[str, float]:
         dict(stated) if isinstance(stated, Mapping) else {name: stated for name in can}
     )
     for name, value in spread.items():
-        plain = isinstance(value, int | float) and not isinstance(value, bool)
-        if name not in can or not (plain and 0 < value < np.inf):
+        if name not in can or not (is_finite(value) and value > 0):
             raise UsageError(
                 f"[controller]: spread is {stated!r}; it is a positive number for all that is"
                 f" fitted, or a table of them for {', '.join(can)}"
@@ -386,14 +386,12 @@ def per_joint(
             if isinstance(value, Sequence) and not isinstance(value, str)
             else [value] * len(joints)
         )
-    if len(values) != len(joints) or not all(
-        isinstance(v, int | float) and not isinstance(v, bool) and v == v for v in values
-    ):
+    if len(values) != len(joints) or not all(map(is_number, values)):
         raise UsageError(
             f"[controller]: {key} is {value!r}; it is a number, a list of {len(joints)} (in the"
             f" order {', '.join(joints)}), or a table by joint"
         )
-    return tuple(float(v) for v in values)
+    return tuple(map(float, values))
 
 
 def file_law(tree: Tree, joints: Sequence[str]) -> DriveLaw:
@@ -427,7 +425,7 @@ def file_law(tree: Tree, joints: Sequence[str]) -> DriveLaw:
 
 def law_of(tree: Tree, dataset: Dataset) -> DriveLaw:
     """The law under which goals drive: that of the dataset, else that of the file."""
-    first = (dataset.split("fit") or dataset.experiments)[0]
+    first = dataset.to_fit[0]
     period = float(np.median(np.diff(first.t)))
 
     def of(joints: list[str]) -> DriveLaw:
@@ -438,11 +436,11 @@ def law_of(tree: Tree, dataset: Dataset) -> DriveLaw:
     return beside_free_joints(tree, dataset, of)
 
 
-def simulator_of(robot: Any, tree: Tree, law: DriveLaw | None, spec: ModelSpec | None) -> str:
+def simulator_of(robot: Any, tree: Tree, law: DriveLaw | None, spec: ModelSpec) -> str:
     """Whose steps simulate a robot: those that the dataset states, else under goals the file's own
     where they are known.
     """
-    if spec is not None and spec.simulator is not None:
+    if spec.simulator is not None:
         return spec.simulator
     goals_by_its_steps = law is not None and not beyond_its_step(tree, law)
     return "mujoco" if robot.integrator or goals_by_its_steps else "own"
@@ -459,9 +457,9 @@ def stepped(robot: Any, tree: Tree, dataset: Dataset) -> bool:
         law = law_of(tree, dataset) if goals else None
     except UsageError:  # is said by who needs the drive
         return False
-    return simulator_of(robot, tree, law, dataset.model) == "mujoco"
+    return simulator_of(robot, tree, law, dataset.stated) == "mujoco"
 
 
 def asked_for_contacts(dataset: Dataset) -> bool:
     """Whether [model] contacts is true."""
-    return dataset.model is not None and dataset.model.contacts is True
+    return dataset.stated.contacts is True

@@ -133,7 +133,7 @@ def joint_numbers(
         rate,
         *_impedance(stop_impedance),
     )
-    return tuple(float(v) for v in numbers)
+    return tuple(map(float, numbers))
 
 
 def _impedance(solimp: Sequence[float]) -> tuple[float, float, float, float, float]:

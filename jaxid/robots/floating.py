@@ -36,7 +36,7 @@ STEEPEST = 1.4
 
 def wanted(dataset: Dataset) -> bool:
     """Whether [model.base] says that the base floats."""
-    return dataset.model is not None and dataset.model.base.get("kind") == "free"
+    return dataset.stated.base.get("kind") == "free"
 
 
 def floating(tree: Tree) -> Tree:

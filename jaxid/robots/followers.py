@@ -161,7 +161,7 @@ def _read_as(dataset: Dataset, steps: Sequence[Coupling]) -> Dataset:
     def one(e: Experiment) -> Experiment:
         y = e.y.copy()
         y[:, column] = whole.at(y[:, column])
-        return replace(e, y=y, past=None if e.past is None else one(e.past))
+        return replace(e, y=y, past=e.past_by(one))
 
     def scaled(size):
         return None if size is None else size * slope
@@ -228,7 +228,7 @@ def _moved(dataset: Dataset, tree: Tree, c: Coupling, end: str) -> Dataset:
                 auxiliary[new] = at_leader(values)
             else:
                 auxiliary[name] = values
-        return replace(e, u=u, auxiliary=auxiliary, past=None if e.past is None else one(e.past))
+        return replace(e, u=u, auxiliary=auxiliary, past=e.past_by(one))
 
     what = "goal" if end == "_cmd" else "torque"
     note = (

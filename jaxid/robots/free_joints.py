@@ -66,8 +66,7 @@ def with_free_joints(dataset: Dataset, tree: Tree) -> Dataset:
 
     def one(e: Experiment) -> Experiment:
         zeros = np.zeros((len(e.u), len(lacking)))
-        past = None if e.past is None else one(e.past)
-        return replace(e, u=np.concatenate([e.u, zeros], 1), past=past)
+        return replace(e, u=np.concatenate([e.u, zeros], 1), past=e.past_by(one))
 
     note = f"{listed(lacking)}: {tree.file} has no actuator there, so it moves freely"
     return replace(

@@ -67,7 +67,7 @@ def part(dataset: Dataset, tree: Tree, joints: Sequence[str]) -> Dataset:
             auxiliary={k: v for k, v in e.auxiliary.items() if k in kept},
             initial=None if e.initial is None else {k: v for k, v in e.initial.items() if mine(k)},
             constants=_own(e.constants, names),
-            past=None if e.past is None else cut(e.past),
+            past=e.past_by(cut),
         )
 
     model = dataset.model

@@ -210,7 +210,7 @@ def _renamed(e: Experiment, new: Any) -> Experiment:
         e,
         auxiliary={new(k): v for k, v in e.auxiliary.items()},
         initial=None if e.initial is None else {new(k): v for k, v in e.initial.items()},
-        past=None if e.past is None else _renamed(e.past, new),
+        past=e.past_by(lambda past: _renamed(past, new)),
     )
 
 
@@ -218,32 +218,18 @@ def driving(dataset: Dataset, tree: Tree) -> Dataset:
     """The dataset with its goals as inputs where they alone can drive: no torque is an input, and
     the goals are auxiliary.
     """
-    inputs = set(dataset.input_names)
-    goals = [
-        c
-        for c in dataset.channels
-        if c.role == "auxiliary"
-        and c.name.removesuffix("_cmd") in tree.joints
-        and c.name.endswith("_cmd")
-    ]
-    spec = dataset.model
-    free = spec is not None and spec.free and dataset.controller is None
-    if (
-        not goals
-        or free
-        or any(
-            n.removesuffix("_tau") in tree.joints or n.removesuffix("_cmd") in tree.joints
-            for n in inputs
-        )
-    ):
+    goal_names = {f"{joint}_cmd" for joint in tree.joints}
+    torques = {f"{joint}_tau" for joint in tree.joints}
+    if not {*tree.joints, *goal_names, *torques}.isdisjoint(dataset.input_names):
+        return dataset
+    goals = [c.name for c in dataset.channels if c.role == "auxiliary" and c.name in goal_names]
+    free = dataset.stated.free and dataset.controller is None
+    if free or not goals:
         return dataset
     note = "no torque was recorded: the goals drive through the stated law"
-    moved = as_inputs(dataset, names_of(goals))
-    return replace(
-        moved,
-        model=None if spec is None else replace(spec, free=False),
-        notes=(*dataset.notes, note),
-    )
+    moved = as_inputs(dataset, goals)
+    spec = dataset.model and replace(dataset.model, free=False)
+    return replace(moved, model=spec, notes=(*dataset.notes, note))
 
 
 def for_a_robot(dataset: Dataset) -> Dataset:
@@ -275,37 +261,32 @@ def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
     """(model, dataset) where either may mean a robot: its `Robot`, and the dataset under the
     joints' names. Else as they are.
     """
-    spec = dataset.model
-    tip = getattr(model, "tip", None)  # of a path that the command line was given with one
-    if isinstance(model, str) and model.lower().endswith((".xml", ".mjcf")):
-        model = robot_from(model, tip)
-    elif isinstance(model, str) and model.lower().endswith(".urdf"):
-        model = (
-            robot_from(model, tip)
-            if tip is not None or wanted(dataset)
-            else _beyond_an_arm(model, dataset)
-        )
-    elif (
-        (model is None or model == "robot")
-        and spec is not None
-        and spec.geometry is not None
-        and spec.geometry.robot
-    ):
-        model = robot_of(spec.geometry.robot, spec.geometry.file, spec.geometry.tip)
+    model = _meant(model, dataset)
     if not is_robot(model):
         return model, dataset
     dataset = for_a_robot(dataset)
     if wanted(dataset) and not model.tree.tree.floats:  # type: ignore[attr-defined]
         model = type(model)(floating(model.tree.tree), driven=False)  # type: ignore[attr-defined, call-arg]
     tree: Tree = model.tree.tree  # type: ignore[attr-defined]
-    spec = dataset.model
-    dataset = named(dataset, tree, spec.joints if spec is not None else None)
+    dataset = named(dataset, tree, dataset.stated.joints)
     dataset = driving(drives_led(outputs_led(dataset, tree), tree), tree)
     tree, _ = led(tree, dataset)
     dataset = with_free_joints(dataset, tree)
     dataset = with_rates(dataset, tree)
     dataset = free_of_contact(dataset, tree, stepped(model, tree, dataset))
     return model, with_base(dataset, tree)
+
+
+def _meant(model: object, dataset: Dataset) -> object:
+    """The `Robot` of a file that is named, or that the dataset states; else the model as it is."""
+    stated = dataset.stated.geometry
+    if (model is None or model == "robot") and stated is not None and stated.robot:
+        return robot_of(stated.robot, stated.file, stated.tip)
+    if not is_file(model):
+        return model
+    tip = getattr(model, "tip", None)  # of a path that the command line was given with one
+    may_be_an_arm = model.lower().endswith(".urdf") and tip is None and not wanted(dataset)
+    return _beyond_an_arm(model, dataset) if may_be_an_arm else robot_from(model, tip)
 
 
 def _beyond_an_arm(path: str, dataset: Dataset) -> Any:
@@ -317,11 +298,11 @@ def _beyond_an_arm(path: str, dataset: Dataset) -> Any:
     except UsageError:
         return path  # `SerialArm.from_urdf` says what is wrong with it
     tree: Tree = robot.tree.tree
-    names, spec = set(names_of(dataset.channels)), dataset.model
+    names = set(names_of(dataset.channels))
     torque = any(c.unit in ("N m", "N", "A") for c in dataset.inputs)
     chain = all(up == k - 1 for k, up in enumerate(tree.parent))
     goals = dataset.controller is not None and not torque
-    by_name = bool(names & set(tree.joints)) or (spec is not None and bool(spec.joints))
+    by_name = bool(names & set(tree.joints)) or bool(dataset.stated.joints)
     return robot if by_name or goals or not chain else path
 
 
@@ -333,10 +314,9 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
     """
     tree: Tree = robot.tree.tree
     tree, notes = recorded(tree, dataset)
-    spec = dataset.model
-    free = spec is not None and spec.free
+    spec = dataset.stated
     what = driven_by(tree.driven, dataset)
-    if not (what or free):
+    if not (what or spec.free):
         raise UsageError(without_drive(tree.driven[0], dataset))
     riding = rides(dataset) and bool(what)
     law = law_of(tree, dataset) if what == "goal" else None
@@ -346,10 +326,10 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
     if law is not None:
         out = out.driven_by(law)
     out = _placed(out, spec)
-    smoothing = spec.constants.get("smoothing_velocity", 0.0) if spec is not None else 0.0
+    smoothing = spec.constants.get("smoothing_velocity", 0.0)
     signature = with_speeds(out.signatures[0], {c.name: c.unit for c in dataset.outputs})
     units = {c.name: c.unit for c in dataset.channels}
-    needed = signature.outputs if free else (*signature.outputs, *signature.inputs)
+    needed = signature.outputs if spec.free else (*signature.outputs, *signature.inputs)
     for name, unit in needed:
         if (have := units.get(name, unit)) != unit:
             raise UsageError(
@@ -436,9 +416,9 @@ def _refuse_ties(tree: Tree, measured: Sequence[str]) -> None:
             )
 
 
-def _placed(robot: Any, spec: ModelSpec | None) -> Any:
+def _placed(robot: Any, spec: ModelSpec) -> Any:
     """The robot on the base that [model.base] states."""
-    base = dict(spec.base) if spec is not None else {}
+    base = dict(spec.base)
     kind = base.pop("kind", "fixed")
     if kind == "free":
         if base:

@@ -80,9 +80,7 @@ def origin_on(model: object, dataset: Dataset) -> dict[str, Any]:
     robot, data = prepared(model, dataset)
     if not is_robot(robot):
         return {}
-    return origin(
-        matched(robot, data).mechanism, None if data.model is None else data.model.geometry
-    )
+    return origin(matched(robot, data).mechanism, data.stated.geometry)
 
 
 def joined(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -38,7 +38,7 @@ def held_at(tree: Tree, dataset: Dataset, joint: str) -> float:
     file has it.
     """
     names = set(names_of(dataset.channels))
-    constants = dataset.model.constants if dataset.model is not None else {}
+    constants = dataset.stated.constants
     stated = f"{POSE}{joint}"
     if stated in constants:
         return constants[stated]

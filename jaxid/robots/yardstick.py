@@ -22,8 +22,7 @@ def stated(binding: Any, found: Mapping[int, Any]) -> dict[int, dict[str, Any]]:
     """Rows of the table by place in the layout: numbers that a file or the dataset states and that
     were fitted, each by itself; `found` by place in the layout.
     """
-    held = getattr(binding.chain.mechanism, "tree", None)
-    tree: Tree | None = None if held is None else held.tree
+    tree = _tree_of(binding)
     rows: dict[int, dict[str, Any]] = {}
     for i in found:
         if i not in binding.nominal:  # an effect's: no file has it
@@ -92,24 +91,27 @@ def added_by_steps(binding: Any, found: Mapping[int, Any], tree: Tree, joint: st
 
 def states(binding: Any, i: int) -> bool:
     """Whether a robot's file or the dataset states the number at this position of the layout."""
-    held = getattr(binding.chain.mechanism, "tree", None)
+    if i in binding.stated:
+        return True
+    tree = _tree_of(binding)
     kind = binding.layout.entries[i].name.partition("@")[0]
-    of_file = held is not None and _states(held.tree, kind, float(binding.theta[i]))
-    return of_file or i in binding.stated
+    return tree is not None and _states(tree, kind, float(binding.theta[i]))
+
+
+def _tree_of(binding: Any) -> Tree | None:
+    """The tree of a robot; None of any other model."""
+    held = getattr(binding.chain.mechanism, "tree", None)
+    return None if held is None else held.tree
 
 
 def _states(tree: Tree, kind: str, value: float) -> bool:
     """Whether the file says this number: a URDF has no armature, and a zero in it is no
     statement.
     """
-    return (
-        kind in ALWAYS
-        or value != 0
-        or (
-            not tree.file.lower().endswith(".urdf")
-            and kind in ("armature", "damping", "frictionloss")
-        )
-    )
+    if kind in ALWAYS or value != 0:
+        return True
+    of_mjcf = not tree.file.lower().endswith(".urdf")
+    return of_mjcf and kind in ("armature", "damping", "frictionloss")
 
 
 def _link(tree: Tree | None, joint: str) -> str:

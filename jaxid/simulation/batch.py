@@ -483,4 +483,4 @@ class BatchSimulator:
         arrays = [a[padded] for a in chain.from_iterable(pairs)]
         out = in_float64(program, *arrays, where[padded], self.samples, steps)
         found = out if isinstance(out, tuple) else (out,)
-        return lanes, tuple(np.asarray(o) for o in found)
+        return lanes, tuple(map(np.asarray, found))

@@ -64,7 +64,7 @@ def _runs_between(
     for number, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True), 1):
         part = {channel: values[a:b] for channel, values in columns.items()}
         runs.append(_counted(f"{name}_{number}", t[a:b], part))
-    rows = ", ".join(str(row) for row in edges[1:-1][:5])
+    rows = ", ".join(map(str, edges[1:-1][:5]))
     runs[0].notes.append(
         f"{name}: the time starts again at sample {rows}, so it is {len(runs)} runs"
     )

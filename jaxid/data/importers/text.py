@@ -206,11 +206,9 @@ def recognise(lines: Sequence[str], stated: StatedFormat = StatedFormat()) -> Te
 
 def _comment_sign(lines: Sequence[str]) -> str | None:
     """What the first comment among the first lines begins with."""
-    for line in lines[:1000]:
-        for sign in COMMENTS:
-            if line.lstrip().startswith(sign):
-                return sign
-    return None
+    begun = [line.lstrip() for line in lines[:1000]]
+    first = next(filter(lambda line: line.startswith(COMMENTS), begun), "")
+    return next(filter(first.startswith, COMMENTS), None)
 
 
 def _best_separators(
@@ -249,7 +247,7 @@ def _numeric(body: Sequence[str], form: TextFormat) -> list[bool]:
         data = [c for c in written if form.is_data(c)]
         is_numeric = bool(written) and len(data) >= 0.9 * len(written)
         others = set(written) - set(data)
-        if not is_numeric and any(_TORN.fullmatch(c) for c in others):
+        if not is_numeric and any(map(_TORN.fullmatch, others)):
             return []
         numeric.append(is_numeric)
     return numeric
@@ -294,7 +292,7 @@ def _with_header(lines: Sequence[str], width: int, form: TextFormat) -> TextForm
     if not above:
         return form
     units = [_inside(c) for c in form.names(lines[above[0]]) if c]
-    if len(above) == 2 and 2 * len(units) >= width and all(_known(u) for u in units):
+    if len(above) == 2 and 2 * len(units) >= width and all(map(_known, units)):
         return replace(form, header=above[1] + 1, units=above[0] + 1)
     return replace(form, header=above[0] + 1)
 

@@ -104,11 +104,6 @@ class Alone:
 
         return sorted(good, key=order)
 
-    def nearest_numbers(self) -> Hypothesis | None:
-        """The change of the file's numbers that leaves least."""
-        of_file = [h for h in self._asked if self.of_numbers(h) and not self.of_law(h)]
-        return min(of_file, key=joint_loss, default=None)
-
     def of_numbers(self, h: Hypothesis) -> bool:
         return not self.own.isdisjoint(h.index)
 

@@ -63,7 +63,7 @@ def body_units(b: Binding, runs: Sequence[TorqueRun], kind: Any, theta: np.ndarr
             for k in ("lower", "upper")
         )
         free = np.full(len(fields) - first, np.inf)
-        if any(np.any(c) for c in columns):
+        if any(map(np.any, columns)):
             bounds = np.concatenate([low, -free]), np.concatenate([high, free])
             infinite = np.full(len(fields), np.inf)
             shown = [c[:, :, kept] for c in columns]

@@ -73,8 +73,8 @@ def stands(chain: Chain, dataset: Dataset) -> bool:
     """Whether the numbers of a model stand until they are doubted: the dataset asks for none of its
     law, and knows none of the others only so well.
     """
-    stated = dataset.model.parameters.values() if dataset.model is not None else ()
-    return not chain.mechanism.known() and all(p.prior is None for p in stated)
+    priors = dataset.stated.parameters.values()
+    return not chain.mechanism.known() and all(p.prior is None for p in priors)
 
 
 def simulated_step(binding: Binding) -> float:

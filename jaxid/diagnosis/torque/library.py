@@ -204,7 +204,7 @@ def _rotor(
         return made
 
     slopes = [(b - a) / TILT for a, b in zip(at(-TILT / 2), at(TILT / 2), strict=True)]
-    return {"rotor": slopes} if any(np.any(x) for x in slopes) else {}
+    return {"rotor": slopes} if any(map(np.any, slopes)) else {}
 
 
 def _shared(
@@ -399,6 +399,6 @@ def _derivatives(
                 series = [r.padded(x) for x in (r.q, r.qd, r.qdd)]
                 made = [np.asarray(program(f)(j, mechanism, *series))[: len(r.q)] for f in fields]
                 columns.append(r.rows(np.stack(made, -1)))
-            if any(np.any(c) for c in columns):
+            if any(map(np.any, columns)):
                 out.append(_unit(kind, place, fields, {}, tuple(range(b.chain.nq)), columns, b))
     return out

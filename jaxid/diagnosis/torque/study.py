@@ -288,7 +288,7 @@ class TorqueStudy:
     def _waves(self, rows: TorqueRows, weights: Weights) -> list[Unit]:
         """Laws that repeat with position, at the wave numbers that the fit runs show."""
         which = self._first(self.of("fit"))
-        if not any(wave_number(kind) for kind in self.kinds) or not which:
+        if not any(map(wave_number, self.kinds)) or not which:
             return []
         runs, own, unsure = self.some(rows, which)
         rests = rests_of(own, weights, [run.moves for run in runs], unsure, rows.size)

@@ -99,8 +99,7 @@ def _body_numbers(
     sheet: Sheet, found: ExportOutcome, link: str, numbers: Mapping[str, float]
 ) -> None:
     """The inertia of a link by its ten numbers."""
-    tree = sheet.tree
-    assert tree is not None
+    tree = sheet.own_tree
     own = {}
     for name, number in found.parameters.items():
         field, _, place = name.partition("@")

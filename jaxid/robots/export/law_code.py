@@ -74,8 +74,7 @@ def code(changes: Iterable[RobotChange], head: str, tail: str = "", library: str
     tables: dict[str, list[str]] = {port: [] for port in PORTS}
     memories: dict[str, None] = {}
     for change in changes:
-        law = law_of(change.quantity)
-        assert law is not None
+        law = _law(change)
         key = change.place if law.port in ("force", "dry") else change.location
         term = _term(law, _numbers(change))
         tables[law.port].append(f"    ({key!r}, {term}),  # {change.effect}")
@@ -93,8 +92,7 @@ def c_code(changes: Iterable[RobotChange], head: str) -> str:
     """A header of C with a function for each law of these changes that remembers nothing."""
     functions = []
     for change in changes:
-        law = law_of(change.quantity)
-        assert law is not None
+        law = _law(change)
         name = re.sub(r"\W", "_", f"{change.location}_{change.effect}")
         arguments = ", ".join(f"double {signal}" for signal in SIGNALS[law.port])
         _, meaning = PORTS[law.port]
@@ -105,6 +103,12 @@ def c_code(changes: Iterable[RobotChange], head: str) -> str:
             "}\n"
         )
     return "\n".join([f"/* {head} */\n\n#include <math.h>\n", *functions])
+
+
+def _law(change: RobotChange) -> ExportLaw:
+    law = law_of(change.quantity)
+    assert law is not None
+    return law
 
 
 def _numbers(change: RobotChange) -> dict[str, float]:

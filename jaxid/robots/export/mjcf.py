@@ -246,8 +246,7 @@ class _Patch:
         return own
 
     def _file_numbers(self, joint: str) -> dict[str, float]:
-        tree = self.sheet.tree
-        assert tree is not None
+        tree = self.sheet.own_tree
         k = tree.joints.index(joint)
         d = tree.damping[k]
         a, m = self.file.actuator_id(joint), self.file.model
@@ -270,8 +269,7 @@ class _Patch:
         }
 
     def _shifted(self, joint: str, shift: float, turn: float) -> dict[str, Any]:
-        tree = self.sheet.tree
-        assert tree is not None
+        tree = self.sheet.own_tree
         k = tree.joints.index(joint)
         own: dict[str, Any] = {"ref": turn * (float(tree.reference[k]) + shift)}
         if np.isfinite([tree.lower[k], tree.upper[k]]).all():
@@ -355,8 +353,7 @@ class _Patch:
         self, joint: str, changed: set[str], now: JointNumbers
     ) -> dict[tuple[str, str], Field | None]:
         found, a = self.file.actuator(joint), self.file.actuator_id(joint)
-        tree = self.sheet.tree
-        assert tree is not None
+        tree = self.sheet.own_tree
         kind = tree.actuators[joint].kind if joint in tree.actuators else ""
         names = changed | ({"force"} if changed & {"lowest", "highest"} else set())
         wanted = "position" if self.sheet.driven else "motor"
@@ -433,8 +430,7 @@ class _Patch:
 
     def _widen(self, joint: str, now: JointNumbers) -> None:
         """A limit at the joint that is narrower than the new one would still hold."""
-        tree, found = self.sheet.tree, self.file.joint(joint)
-        assert tree is not None
+        tree, found = self.sheet.own_tree, self.file.joint(joint)
         limit = tree.effort[tree.joints.index(joint)]
         new = max(abs(now.lowest), abs(now.highest))
         if found is not None and np.isfinite([limit, new]).all() and new > limit:

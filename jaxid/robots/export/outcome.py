@@ -5,6 +5,7 @@ what is known is taken.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -12,13 +13,14 @@ from typing import Any
 import numpy as np
 
 from jaxid.base.errors import UsageError
+from jaxid.base.numbers import is_finite, is_number
 
 
 KINDS = ("fit", "diagnosis", "identification")
-#: Longest name, and most numbers or effects, that are taken from a file.
-LONGEST, MOST = 200, 5000
-
-
+#: A name of a file: no control characters, and not longer than this.
+NAME = r"[^\x00-\x1f]{1,200}"
+#: Most numbers or effects that are taken from a file.
+MOST = 5000
 #: How the note of a number begins that is not carried over.
 AS_STATED = "as the file has it"
 
@@ -130,7 +132,7 @@ def outcome(content: Any) -> ExportOutcome:
         kind=kind,
         model=_name(content.get("model"), "model"),
         parameters={_name(k, "parameters"): _number(k, v) for k, v in parameters.items()},
-        effects=tuple(_effect(e) for e in effects),
+        effects=tuple(map(_effect, effects)),
         robot=robot_entry(robot),
         names=names,
         covariance=matrix,
@@ -139,12 +141,7 @@ def outcome(content: Any) -> ExportOutcome:
 
 
 def _name(value: Any, where: str) -> str:
-    if (
-        not isinstance(value, str)
-        or not value
-        or len(value) > LONGEST
-        or any(ord(c) < 32 for c in value)
-    ):
+    if not isinstance(value, str) or not re.fullmatch(NAME, value):
         raise UsageError(f"{where} of the result: {str(value)[:60]!r} is not a name")
     return value
 
@@ -152,7 +149,7 @@ def _name(value: Any, where: str) -> str:
 def number(name: str, entry: Any) -> float:
     """A finite number of a result. Raises `UsageError`."""
     value = entry.get("value") if isinstance(entry, Mapping) else entry
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if not is_finite(value):
         raise UsageError(f"{name} of the result: {str(value)[:60]!r} is not a finite number")
     return float(value)
 
@@ -162,15 +159,9 @@ def _number(name: str, entry: Any) -> Number:
     if not isinstance(entry, Mapping):
         return Number(value)
     std = entry.get("std")
-    known = (
-        isinstance(std, int | float)
-        and not isinstance(std, bool)
-        and math.isfinite(std)
-        and std >= 0
-    )
     return Number(
         value=value,
-        std=float(std) if known else None,  # type: ignore[arg-type]
+        std=float(std) if is_finite(std) and std >= 0 else None,
         unit=str(entry.get("unit") or "")[:40],
         at_bound=bool(entry.get("at_bound")),
         lower=_bound(entry.get("lower"), -math.inf),
@@ -179,8 +170,7 @@ def _number(name: str, entry: Any) -> Number:
 
 
 def _bound(entry: Any, none: float) -> float:
-    known = isinstance(entry, int | float) and not isinstance(entry, bool) and not math.isnan(entry)
-    return float(entry) if known else none
+    return float(entry) if is_number(entry) else none
 
 
 def _effect(entry: Any) -> Named:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.numbers import is_number
 from jaxid.numerics.drawn import beside_the_others, draws
 from jaxid.numerics.truncated import positive
 from jaxid.robots.export.outcome import ExportOutcome, Number
@@ -140,13 +141,10 @@ def _identified(found: ExportOutcome) -> dict[str, Number]:
 
 
 def _number(entry: Any) -> Number | None:
-    def known(v):
-        return isinstance(v, int | float) and not isinstance(v, bool)
-
-    if not isinstance(entry, Mapping) or not known(entry.get("value")):
+    if not isinstance(entry, Mapping) or not is_number(entry.get("value")):
         return None
     std = entry.get("std")
-    spread = float(std) if known(std) else None  # type: ignore[arg-type]
+    spread = float(std) if is_number(std) else None
     return Number(float(entry["value"]), spread, str(entry.get("unit") or "")[:40])
 
 

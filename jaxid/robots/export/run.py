@@ -134,21 +134,19 @@ def _compared(files: Mapping[str, str], path: Path, trial: Trial | None) -> list
     if not moved:
         return []
     course = listed(f"{j} {number(before[j])} → {number(now[j])}" for j in moved)
+    said = f"in MuJoCo on the recording, rms error before and after (rad or m): {course}"
     worse = [j for j in moved if now[j] > before[j]]
-    warning = (
-        f"; {listed(worse)} further off than before: do not take that over unseen" if worse else ""
-    )
-    return [f"in MuJoCo on the recording, rms error before and after (rad or m): {course}{warning}"]
+    if worse:
+        said += f"; {listed(worse)} further off than before: do not take that over unseen"
+    return [said]
 
 
 def read_tree(path: Path) -> Tree:
     """The tree of a robot's file by its ending."""
     try:
-        return (
-            read_urdf_tree(path, read_small(path).decode("utf-8-sig"))
-            if path.suffix.lower() == ".urdf"
-            else read_mjcf(path)
-        )
+        if path.suffix.lower() == ".urdf":
+            return read_urdf_tree(path, read_small(path).decode("utf-8-sig"))
+        return read_mjcf(path)
     except UnicodeDecodeError as error:
         raise UsageError(
             f"{path}: a character that is not UTF-8; save the file as UTF-8"

@@ -99,10 +99,16 @@ class Sheet:
     kind: str = "pd"
     notes: list[str] = field(default_factory=list)
 
+    @property
+    def own_tree(self) -> Tree:
+        """The tree of the file, where one is patched."""
+        assert self.tree is not None
+        return self.tree
+
     def joint(self, place: str) -> str:
         """The joint of a location: a joint, or its goal, torque or speed channel."""
         for end in ("", "_cmd", "_tau", "_qd"):
-            name = place.removesuffix(end) if end else place
+            name = place.removesuffix(end)
             if name in self.after:
                 return name
         return ""
@@ -111,11 +117,9 @@ class Sheet:
         self.after[joint] = replace(self.after[joint], **numbers)
 
     def slides(self, joint: str) -> bool:
-        return (
-            self.tree is not None
-            and joint in self.tree.joints
-            and self.tree.slides[self.tree.joints.index(joint)]
-        )
+        if self.tree is None or joint not in self.tree.joints:
+            return False
+        return self.tree.slides[self.tree.joints.index(joint)]
 
     def force_unit(self, joint: str) -> str:
         return "N" if self.slides(joint) else "N m"

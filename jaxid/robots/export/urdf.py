@@ -114,8 +114,7 @@ def _child(patch: XmlText, element: Element, tag: str, attributes: dict[str, str
 def _joint(
     patch: XmlText, element: Element, sheet: Sheet, joint: str, was: JointNumbers, now: JointNumbers
 ) -> None:
-    tree = sheet.tree
-    assert tree is not None
+    tree = sheet.own_tree
     k = tree.joints.index(joint)
     own: dict[str, str] = {}
     if now.damping != was.damping:

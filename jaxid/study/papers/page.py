@@ -54,9 +54,11 @@ def _table(t: PaperTable) -> dict[str, Any]:
 
 def cell(value: Any) -> tuple[str, bool]:
     """How a cell is written, and whether it is a number."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return ("–" if value is None else str(value)), False
-    return (str(value) if isinstance(value, int) else number(float(value), 4)), True
+    if value is None:
+        return "–", False
+    if isinstance(value, float):
+        return number(value, 4), True
+    return str(value), type(value) is int
 
 
 def lines(result: Reproduction) -> str:
