@@ -155,7 +155,7 @@ def start_state(
     )
 
 
-def followed(t: np.ndarray, x: np.ndarray, degree: int = 2, least: int = 20) -> float:
+def followed(t: np.ndarray, x: np.ndarray, degree: int = 2, least: int = 5) -> float:
     """The longest of the window of all samples, its half, its quarter …, in s, over which a
     polynomial follows every signal of x [time n]: to within twice its noise (third differences, or
     the step of a counter), or 2 % of what it moves there.

@@ -39,7 +39,7 @@ def scored(e: Experiment, split: str) -> np.ndarray:
     """Which samples of a run count in its score: those that estimated the start of a run that was
     not fitted do not.
     """
-    from jaxid.problem.residual import head_samples
+    from jaxid.problem.beginnings import head_samples
 
     keep = np.ones(len(e.t), bool)
     if split != "fit" and not e.at_rest and e.initial is None:

@@ -10,7 +10,7 @@ the noise, so that a mean square of 1.0 means "down to the noise".
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, pairwise
 from typing import ClassVar, Literal
@@ -27,6 +27,7 @@ from jaxid.dynamics.joint_readings import joint_readings, position_matters, star
 from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.force.torque_filter import decimated_torque_lane, evenly, torque_setting, TorqueSetting
 from jaxid.problem import measured_motion
+from jaxid.problem.beginnings import head_samples, nested_heads, run_up
 from jaxid.problem.measured_motion import Motion
 from jaxid.simulation import sample_buffers as recorded
 from jaxid.simulation.batch import BatchSimulator
@@ -39,8 +40,6 @@ Simulation = Literal[
     "free_run", "windows", "closed_loop", "inverse_dynamics", "momentum", "frequency_response"
 ]
 
-#: A part of a longer run starts so long before it, and by this many samples at most.
-RUN_UP_S, RUN_UP_SAMPLES = 1.0, 500
 #: Up to this many samples before a window tell the states of effects.
 WINDOW_PAST = 1000
 
@@ -153,12 +152,6 @@ class Residual(abc.ABC):
         """
 
 
-def run_up(e: Experiment) -> int:
-    """The sample of an experiment with its past (`whole`) at which its free run begins."""
-    t, cut = e.whole.t, len(e.whole) - len(e)
-    return max(cut // 2, cut - RUN_UP_SAMPLES, int(np.searchsorted(t, t[cut] - RUN_UP_S)))
-
-
 @dataclass(frozen=True)
 class OutputError(Residual):
     """Free run of the whole experiment.
@@ -197,7 +190,7 @@ class OutputError(Residual):
                 return replace(record, samples=p[c:b])
 
             records.append(part(run_up(own), len(e), len(e) - len(own)))
-            heads.append(_heads(e, own, part))
+            heads.append(nested_heads(e, own, part, layout.chain.mechanism.ground is not None))
         lanes = [*records]
         ends = [len(lanes)]
         for own in heads:
@@ -370,33 +363,6 @@ def default_window(e: Experiment) -> float:
     return max(float(e.t[-1] - e.t[0]) / 8, 50 * step)
 
 
-def head_samples(e: Experiment) -> int:
-    """How many samples a run that is not fitted may use to estimate its start: 20, and at least 0.1
-    s, or as stated; of a short run a third at most, so that the rest can be judged.
-    """
-    if e.initial_window_s is not None:
-        return max(4, int(np.searchsorted(e.t, e.t[0] + e.initial_window_s, side="right")))
-    return min(
-        max(4, len(e.t) // 3), max(20, int(np.searchsorted(e.t, e.t[0] + 0.1 - 1e-9, side="left")))
-    )
-
-
-def standing(e: Experiment) -> int:
-    """The sample at which the last of the readings that stand on one value over the first moments
-    of a run takes its first step, 0 where none does. A joint at rest anywhere within an encoder's
-    step reads the same, however often: only the steps that follow say where it stands.
-    """
-    n = head_samples(e)
-    moved = e.y != e.y[0]
-    still = moved.any(0) & ~moved[:n].any(0)
-    first = (
-        int(np.argmax(moved[:, still], axis=0).max())
-        if e.initial_window_s is None and still.any()
-        else 0
-    )
-    return first if first + n <= len(e.t) // 3 else 0
-
-
 def overrides(
     layout: ParameterVector, experiments: Sequence[Experiment], records: Sequence[Record]
 ) -> np.ndarray:
@@ -481,20 +447,3 @@ def resolve_residual(
             raise UsageError(f"a cutoff of {cutoff_hz:g} Hz is none; give one above 0")
         return kind(cutoff_hz=cutoff_hz)  # type: ignore[call-arg]
     return kind() if isinstance(residual, str) else residual  # type: ignore[return-value]
-
-
-def _heads(e: Experiment, own: Experiment, part: Callable[[int, int, int], Record]) -> list[Record]:
-    """Nested first stretches of a run (`own`, of the whole run `e`), the longest first; of one that
-    begins standing still also the stretches as it begins to move.
-    """
-    cut, begin = len(e) - len(own), run_up(own)
-    # by then sensors and springs have forgotten how they began
-    settled = begin + (cut - begin) // 4
-    n = cut + head_samples(own) - settled
-    lengths = tuple(dict.fromkeys(max(6, n // k) for k in (1, 2, 4, 8, 16)))
-    heads = [part(begin, settled + k, settled) for k in lengths]
-    # what stands still counts as one sample, unless the model moves otherwise
-    still = 0 if cut else standing(e)
-    if not still:
-        return heads
-    return [part(begin, still + k, still - 1) for k in lengths] + heads
