@@ -27,7 +27,7 @@ from jaxid.robots.ground_points import (
     points_of,
     simulated,
 )
-from jaxid.robots.mjcf_spec import compiled, drop_all, library, parsed, plain
+from jaxid.robots.mjcf_spec import compiled, drop_all, library, parsed, touchable
 from jaxid.robots.mjcf_ties import without_tendons
 from jaxid.robots.recorded_joints import held_at
 from jaxid.robots.tree import Tree
@@ -42,7 +42,7 @@ GUARD = GUARD_SAMPLES
 MOST = 20_000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Shapes:
     """The compiled model of a file's bodies, joints and plain shapes; its planes see what comes
     within `room` (m), 0 where the file has margins of its own.
@@ -193,8 +193,8 @@ def _plain_shapes(spec: Any) -> list[Any]:
     """Planes and plain shapes of a file; of one whose base is free those that it carries: where it
     stands in its surroundings is not recorded.
     """
-    kinds, joint = library().mjtGeom, library().mjtJoint
-    shapes = [g for g in spec.geoms if plain(g) or g.type == kinds.mjGEOM_PLANE]
+    joint = library().mjtJoint
+    shapes = touchable(spec)
     if any(j.type == joint.mjJNT_FREE for j in spec.joints):
         shapes = [g for g in shapes if g.parent.name != "world"]
     return shapes
@@ -218,7 +218,18 @@ def _positions(run: Experiment, dataset: Dataset, tree: Tree) -> dict[str, np.nd
 def _touching(
     shapes: Shapes, positions: Mapping[str, np.ndarray], samples: int, stepped: bool
 ) -> Touching:
-    """What touches along a run of so many samples."""
+    """What touches along a run of so many samples; a run that is asked for again is not gone
+    through again.
+    """
+    kept = tuple((j, np.asarray(x, float).tobytes()) for j, x in positions.items())
+    return _looked_through(shapes, kept, samples, stepped)
+
+
+@lru_cache(maxsize=32)
+def _looked_through(
+    shapes: Shapes, kept: tuple[tuple[str, bytes], ...], samples: int, stepped: bool
+) -> Touching:
+    positions = {joint: np.frombuffer(values) for joint, values in kept}
     mujoco, model = library(), shapes.model
     data = mujoco.MjData(model)
     joints = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, j): j for j in range(model.njnt)}

@@ -45,9 +45,10 @@ def library() -> Any:
     return mujoco
 
 
-def compilable(path: Path, text: str) -> tuple[Any, list[Tendon]]:
+def compilable(path: Path, text: str, contacts: bool = False) -> tuple[Any, list[Tendon]]:
     """(spec without what is drawn and without tendons, those tendons that act). Refused where a
-    body's inertia would come from what is drawn, or cannot be.
+    body's inertia would come from what is drawn, or cannot be. `contacts`: planes and plain shapes
+    still touch.
     """
     mujoco = library()
     spec = parsed(path, text)
@@ -75,13 +76,7 @@ def compilable(path: Path, text: str) -> tuple[Any, list[Tendon]]:
     loose = [b for b in spec.bodies if _loose(b) and not b.explicitinertial]
     for body in loose:  # moves nothing of the robot: its inertia is of no matter
         body.mass, body.inertia, body.explicitinertial = 1.0, np.ones(3), True
-    kept: list[Any] = []
-    for body in _silent(spec):
-        kept += heavy(body, spec)
-    for geom in kept:
-        geom.contype = geom.conaffinity = 0
-        geom.material = ""
-    drop_all(spec, {"geoms": kept})
+    _without_what_is_drawn(spec, contacts)
     without_tendons(mujoco, spec)
     spec.compiler.balanceinertia = False
     spec.compiler.fusestatic = False
@@ -180,6 +175,29 @@ def _up(body: Any) -> list[Any]:
 def _moves(body: Any) -> bool:
     """Whether a joint carries a body."""
     return any(len(b.joints) for b in _up(body))
+
+
+def _without_what_is_drawn(spec: Any, contacts: bool) -> None:
+    """Takes out all but what gives a body its mass, and what may touch where `contacts` count."""
+    kept: list[Any] = []
+    for body in _silent(spec):
+        kept += heavy(body, spec)
+    shapes = touchable(spec) if contacts else []
+    for geom in kept:
+        if geom not in shapes:
+            geom.contype = geom.conaffinity = 0
+    for geom in (*kept, *shapes):
+        geom.material = ""
+    names = {geom.name for geom in shapes}
+    pairs = [pair for pair in spec.pairs if {pair.geomname1, pair.geomname2} <= names]
+    excludes = list(spec.excludes) if contacts else []
+    drop_all(spec, {"geoms": [*kept, *shapes], "pairs": pairs, "excludes": excludes})
+
+
+def touchable(spec: Any) -> list[Any]:
+    """Planes and plain shapes."""
+    plane = library().mjtGeom.mjGEOM_PLANE
+    return [geom for geom in spec.geoms if plain(geom) or geom.type == plane]
 
 
 def drop_all(spec: Any, kept: Mapping[str, Sequence[Any]]) -> None:
