@@ -17,7 +17,7 @@ from jaxid.diagnosis.hypothesis import Candidate, candidates
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.answer import of_model
 from jaxid.diagnosis.torque.choose import Chooser, Model
-from jaxid.diagnosis.torque.claims import believed, claims, instead, TorqueClaim
+from jaxid.diagnosis.torque.claims import believed, claims, instead, likeliest, TorqueClaim
 from jaxid.diagnosis.torque.held_out import SHARED
 from jaxid.diagnosis.torque.judged import scales
 from jaxid.diagnosis.torque.library import MOMENT, Unit
@@ -151,19 +151,30 @@ class LinearisedSearch:
         return float(np.clip(np.mean(each), 1.0, None))
 
     def searched(self, bare: Proposal) -> ProposedSets:
+        """What is claimed, and the most probable set where that is another one: first order is
+        rough, and simulations decide.
+        """
         which = list(dict.fromkeys([*self.fit, *self.held]))
         weighed = weigh(scales(self.study, self.rows, self.white, self.chooser, which))
         claimed = claims(weighed, self.most)
-        chosen = self.chooser.lively([claim.unit for claim in claimed])
+        chosen = self._modelled(claimed)
+        probable = self._modelled(likeliest(weighed, self.most))
+        sets = []
+        for model in (chosen, probable):
+            if model is not None and not (sets and set(model.units) == set(sets[0].units)):
+                sets.append(model)
+        proposed = tuple(_proposal(self.study, self.chooser, model) for model in sets)
         if chosen is None:
             plain = self.inflation(self.chooser.nominal)
-            return ProposedSets(bare, (), weighed, inflation=plain)
+            return ProposedSets(bare, proposed, weighed, inflation=plain)
         kept = tuple(claim for claim in claimed if claim.unit in chosen.units)
         judged = self.study.of("report") or self.held
         each = worth(self.study, self.rows, self.chooser, chosen, judged)
-        own = _proposal(self.study, self.chooser, chosen)
         left = self.inflation(chosen)
-        return ProposedSets(bare, (own,), weighed, kept, each, left)
+        return ProposedSets(bare, proposed, weighed, kept, each, left)
+
+    def _modelled(self, found: Sequence[TorqueClaim]) -> Model | None:
+        return self.chooser.lively([claim.unit for claim in found])
 
 
 def _proposal(study: LedStudy, chooser: Chooser, m: Model) -> Proposal:

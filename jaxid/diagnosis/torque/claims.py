@@ -53,6 +53,14 @@ def claims(weighed: Weighed, most: int | None = None) -> list[TorqueClaim]:
     return out if most is None else _of_kinds(scales, out, most)
 
 
+def likeliest(weighed: Weighed, most: int) -> list[TorqueClaim]:
+    """The most probable set without free laws, of at most so many effects, however sure it is."""
+    units = weighed.scales.units
+    named = sorted(u for u in weighed.best if not is_free(units[u]))
+    every = [TorqueClaim(u, weighed.places[units[u].place]) for u in named]
+    return _of_kinds(weighed.scales, every, most)
+
+
 def _of_kinds(scales: Scales, found: list[TorqueClaim], most: int) -> list[TorqueClaim]:
     """Claims of at most so many effects: the effect without which least is lost goes first."""
     kinds = {scales.units[claim.unit].effect for claim in found}
