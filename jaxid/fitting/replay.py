@@ -260,7 +260,9 @@ def in_mujoco(
         )
     elif kind == "goal":
         notes.append(f"driven by the position actuators of {path.name}")
-    robot = MujocoRobot(path, tree, free.held, _gravity(tree, data), joints, law)
+    touches = data.model is not None and data.model.contacts is True
+    gravity = _gravity(tree, data)
+    robot = MujocoRobot(path, tree, free.held, gravity, joints, law, contacts=touches)
     reference = robot
     torques = all(f"{j}_tau" in inputs for j in joints)
     if source and source.original and torques:

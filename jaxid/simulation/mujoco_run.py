@@ -1,5 +1,5 @@
-"""A robot's file in MuJoCo, driven along a recording: contacts, drawings and a free base are left
-out.
+"""A robot's file in MuJoCo, driven along a recording: drawings and a free base are left out, and
+contacts where they are not asked for.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Driven:
 class MujocoRobot:
     """The compiled model of a file, with joints `held` and gravity as given; a continuous pd `law`
     of some joints becomes actuators in the place of the file's own, so that MuJoCo integrates it
-    like those. Raises `UsageError`.
+    like those. `contacts`: its planes and plain shapes touch. Raises `UsageError`.
     """
 
     def __init__(
@@ -55,9 +55,11 @@ class MujocoRobot:
         gravity: np.ndarray | None,
         joints: Sequence[str] = (),
         law: DriveLaw | None = None,
+        contacts: bool = False,
     ):
         self.mj: Any = library()
         self.notes: list[str] = []
+        self.contacts = contacts
         spec = self._of_tree(tree, law) if path.suffix.lower() == ".urdf" else self._of_file(path)
         for joint in held:
             spec.joint(joint).armature = HELD
@@ -76,7 +78,7 @@ class MujocoRobot:
         self.held = dict(held)
 
     def _of_file(self, path: Path) -> Any:
-        spec, _ = compilable(path, expanded(path))
+        spec, _ = compilable(path, expanded(path), self.contacts)
         for key in list(spec.keys):
             spec.delete(key)
         kinds = self.mj.mjtJoint

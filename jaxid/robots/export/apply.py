@@ -45,6 +45,8 @@ JOINT = {
     "timeconst": "lag",
 }
 #: Numbers of models that are no robot's -> quantity of their joint.
+#: The friction of a shape on the ground.
+GROUND = "sliding_friction"
 PLAIN = {"viscous": "damping", "coulomb": "frictionloss", "armature": "armature"}
 #: Numbers of a joint that are one thing to say.
 FORCE = ("lowest", "highest")
@@ -88,11 +90,28 @@ def _numbers(sheet: Sheet, found: ExportOutcome, done: set[str]) -> None:
             _joint_number(sheet, field, place, JOINT[field], number)
         elif tree is not None and field in BODY and place in tree.links:
             links.setdefault(place, numbers_of(tree, place))[field] = number.value
+        elif tree is not None and field == GROUND:
+            _on_the_ground(sheet, place, number)
         elif not (tree is not None and field in ("base_roll", "base_pitch")):
             _plain_number(sheet, name, number)
     for link, numbers in links.items():
         _body_numbers(sheet, found, link, numbers)
     _base(sheet, found)
+
+
+def _on_the_ground(sheet: Sheet, shape: str, number: Number) -> None:
+    """The friction of a shape on the planes that it touches."""
+    change = RobotChange(
+        effect=GROUND,
+        location=shape,
+        quantity=GROUND,
+        place=shape,
+        value=number.value,
+        before=None,
+        unit=number.unit,
+        note=number.doubt,
+    )
+    sheet.record([change])
 
 
 def _body_numbers(

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,11 @@ import numpy as np
 from jaxid.base.errors import UsageError
 from jaxid.base.wording import listed
 from jaxid.robots.export.law_code import code, lawful
-from jaxid.robots.export.mjcf_code import callback, snippet, spec_code
+from jaxid.robots.export.mjcf_code import callback, Op, snippet, spec_code
 from jaxid.robots.export.mjcf_drive import DriveWords, ENDLESS, HISTORY, OF_LAW
 from jaxid.robots.export.mjcf_file import compiled, MjcfFile
 from jaxid.robots.export.mjcf_friction import friction_field, UNTRIED
+from jaxid.robots.export.mjcf_ground import on_the_ground
 from jaxid.robots.export.outcome import AS_STATED, ExportOutcome
 from jaxid.robots.export.sheet import from_ten, JointNumbers, LinkInertia, RobotChange, Sheet
 from jaxid.robots.export.target import (
@@ -45,15 +46,6 @@ UNLIMITED = (
     " it is left as it is at {}"
 )
 CALLBACK = "effects.py"
-
-
-@dataclass(frozen=True)
-class Op:
-    """Attributes of one element of the file: `kind` joint, body, actuator or option."""
-
-    kind: str
-    name: str
-    attributes: Mapping[str, Any]
 
 
 def write(
@@ -113,6 +105,9 @@ class _Patch:
             fields["inertial", link] = self._body(link, before, after)
         if any(c.quantity == "gravity" for c in self.sheet.changes):
             fields["gravity", ""] = self._gravity()
+        grounded, ops = on_the_ground(self.sheet.changes, self.file)
+        fields |= grounded
+        self.ops += ops
         self.rows += [self._row(c, fields) for c in self.sheet.changes]
         if not any(r.how in (EXACT, APPROXIMATE) for r in self.rows):
             out = Written(self.rows, {}, self.notes)

@@ -4,7 +4,8 @@ where no file is given.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
@@ -33,7 +34,16 @@ PLAIN = {
 }  # fmt: skip
 
 
-def spec_code(ops: Iterable[Any], file: str, version: str) -> str:
+@dataclass(frozen=True)
+class Op:
+    """Attributes of one element of the file: `kind` joint, body, geom, actuator or option."""
+
+    kind: str
+    name: str
+    attributes: Mapping[str, Any]
+
+
+def spec_code(ops: Iterable[Op], file: str, version: str) -> str:
     """A module whose `apply(spec)` makes the same changes on a `mujoco.MjSpec` of the unpatched
     file.
     """
@@ -65,7 +75,7 @@ def spec_code(ops: Iterable[Any], file: str, version: str) -> str:
     return "\n".join([*lines, "    return spec", ""])
 
 
-def _lines(op: Any) -> list[str]:
+def _lines(op: Op) -> list[str]:
     if op.kind == "option":
         return [f"spec.option.gravity = {_plain(op.attributes['gravity'])}"]
     if op.kind == "body":
@@ -74,6 +84,9 @@ def _lines(op: Any) -> list[str]:
         if "fullinertia" in values:
             out += ["b.iquat, b.inertia = [1, 0, 0, 0], [0, 0, 0]"]
         return out + [f"b.{k} = {_plain(v)}" for k, v in values.items()]
+    if op.kind == "geom":
+        out = [f"g = spec.geom({op.name!r})"]
+        return out + [f"g.{k} = {_plain(v)}" for k, v in op.attributes.items()]
     if op.kind == "joint":
         out = [f"j = spec.joint({op.name!r})"]
         for k, v in op.attributes.items():

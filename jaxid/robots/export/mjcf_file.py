@@ -70,6 +70,9 @@ class MjcfFile:
     def joint(self, name: str) -> tuple[XmlText, Element] | None:
         return self._find("joint", name)
 
+    def geom(self, name: str) -> tuple[XmlText, Element] | None:
+        return self._find("geom", name)
+
     def body(self, name: str) -> tuple[XmlText, Element] | None:
         return self._find("body", name)
 

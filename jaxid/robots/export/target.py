@@ -215,6 +215,8 @@ def coded(
 def reason(change: RobotChange) -> str:
     if why := why_not(change.quantity):
         return why
+    if change.quantity == "sliding_friction":
+        return "set it where your simulator has the contact of this shape with the ground"
     if not change.quantity:
         return "a number of jaxid's model that no field stands for"
     if law_of(change.quantity) or not change.place:
