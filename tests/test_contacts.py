@@ -225,11 +225,3 @@ def test_a_leg_hops_as_it_does_in_mujoco(sole):
     assert "sliding_friction@sole" in names
     slippery, _ = rollout(text, data, **{"sliding_friction@sole": 0.1})
     assert np.max(np.abs(slippery - q)) > 1e-3
-
-
-@pytest.mark.slow
-def test_a_diagnosis_says_that_it_simulates_no_contact():
-    text = LEG.format(shape=SOLES["sphere"], integrator="Euler")
-    data, _ = hopping(text)
-    with pytest.raises(jaxid.UsageError, match="a diagnosis does not simulate contacts"):
-        jaxid.diagnose(Robot.from_mjcf("leg.xml", text=text), data)

@@ -11,9 +11,10 @@ import numpy as np
 
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.least_squares import levenberg_marquardt, Path
-from jaxid.fitting.problem_builder import ProblemBuilder
+from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder, touches
 from jaxid.fitting.scores import scored
-from jaxid.problem.problem import rows
+from jaxid.fitting.wide_slopes import descend_widely
+from jaxid.problem.problem import FitProblem, NumberPrior, rows
 from jaxid.problem.residual import OutputError, Residual
 
 
@@ -82,6 +83,9 @@ def held_out(
     each window's start is fitted, and costs its degrees of freedom.
     """
     if residual is None or residual.free_run:
+        if touches(bench.binding):
+            about = known or [None] * len(thetas)
+            return [_touching(bench, split, *one) for one in zip(thetas, about, strict=True)]
         return _free(
             bench, split, thetas, known or [None] * len(thetas), follow or [None] * len(thetas)
         )
@@ -105,6 +109,37 @@ def _windows(
         total = float(sum(np.sum(x**2) for x in r))
         out[k] = HeldOut(r, r, total / max(count - p.size, 1), count)
     return out
+
+
+def _touching(
+    bench: ProblemBuilder, split: str, theta: np.ndarray, told: Knowledge | None
+) -> HeldOut:
+    """Free runs that touch: where they do depends on how they began, which is fitted to the whole
+    of each and costs its degrees of freedom. A touch that comes one step of the simulator later
+    moves a run more than its noise: numbers move within what the fit leaves open, at that price.
+    """
+    starts = estimate_starts(bench, split, [theta])[0]
+    p = bench.problem(OutputError(), split, [], theta)
+    z, free = p.z(theta, starts), p.size
+    if told is not None and len(told[0]):
+        p = _knowing(bench, split, theta, told)
+        path, _ = descend_widely(p, p.z(theta, starts), TOGETHER)
+        z = path.z
+    residual = [_finite(r) for r in p.residuals(z)]
+    count = sum(r.size for r in residual)
+    price = float(np.sum(p.known_before(z)[0] ** 2))
+    loss = (_squares(residual) + price) / max(count - free, 1)
+    return HeldOut(residual, residual, loss, count)
+
+
+def _knowing(bench: ProblemBuilder, split: str, theta: np.ndarray, told: Knowledge) -> FitProblem:
+    """The runs of a split with the numbers of a fit, as it knows them."""
+    index, information = told
+    p = bench.problem(OutputError(), split, index, theta)
+    slopes = np.maximum(np.abs(p.dtheta(p.z(theta))), 1e-300)
+    values, vectors = np.linalg.eigh(information / slopes / slopes[:, None])
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    return p.knowing(NumberPrior(theta[p.free], root, np.zeros(len(root))))
 
 
 def _free(

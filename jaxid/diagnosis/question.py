@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from jaxid.base.errors import UsageError
 from jaxid.base.interim import Interim
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.hypothesis import check_asked, possible, SearchResult
@@ -20,12 +19,6 @@ from jaxid.problem.binding import bind, Binding
 from jaxid.problem.residual import Residual
 from jaxid.simulation.sample_buffers import STEP
 
-
-TOUCHES = (
-    "[model] contacts = true: a diagnosis does not simulate contacts, jaxid fit and the simulation"
-    " in Python do. Leave contacts out of [model]: a diagnosis then looks at the parts of the runs"
-    " in which nothing touches"
-)
 
 #: Is told of the nominal fit and of what is known so far: what a run that is stopped keeps.
 Offer = Callable[[Callable[[], Fit], SearchResult], None]
@@ -68,11 +61,7 @@ class DiagnosisQuestion:
     reference: ReferenceNumbers | None
 
     def check(self) -> None:
-        """Raises `UsageError` where an effect that is named cannot be a candidate, and where
-        contacts are simulated.
-        """
-        if self.nominal.mechanism.ground is not None:
-            raise UsageError(TOUCHES)
+        """Raises `UsageError` where an effect that is named cannot be a candidate."""
         check_asked(self.nominal, self.asked or (), self.residual_name)
 
     @property

@@ -27,6 +27,12 @@ from jaxid.problem.binding import bind, Binding, resolve_model
 from jaxid.problem.residual import InverseDynamics, OutputError, Residual
 
 
+TOUCHES = (
+    "[model] contacts = true: a diagnosis simulates contacts where goals drive every joint through"
+    " a law, and compares the runs themselves. Here leave contacts out of [model]: a diagnosis then"
+    " looks at the parts of the runs in which nothing touches"
+)
+
 NO_RUNS = "a diagnosis needs recorded runs; this dataset holds frequency responses alone: fit it"
 
 
@@ -137,13 +143,16 @@ def _answered(question: DiagnosisQuestion) -> Diagnosis:
     question = replace(question, dataset=looked_at(nominal, question.dataset, library, by))
     if not question.dataset.experiments:
         raise UsageError(NO_RUNS)
+    touches = nominal.mechanism.ground is not None
+    if touches and (question.residual is not None or not led(nominal)):
+        raise UsageError(TOUCHES)
     if isinstance(question.residual, InverseDynamics):
         return _by_torque(question, question.bound(), question.residual.cutoff_hz)
-    if too_long:
+    if too_long and not touches:
         return _noted(_by_torque(question, question.bound()), too_long)
     if led(nominal) and question.residual is None:
         plain = question.bound()
-        if dear(plain):
+        if dear(plain) and not touches:
             return _noted(_by_torque(question, plain), TOO_DEAR)
         if not standing_still(plain):
             return _under_goals(question, plain)

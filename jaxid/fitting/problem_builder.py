@@ -11,6 +11,8 @@ import numpy as np
 from jaxid.base.errors import UsageError
 from jaxid.fitting.least_squares import levenberg_marquardt, Path
 from jaxid.fitting.scale_free import shrinking
+from jaxid.fitting.wide_slopes import descend_widely
+from jaxid.problem.beginnings import NESTED
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
 from jaxid.problem.momentum import told_by
@@ -190,7 +192,10 @@ class ProblemBuilder:
         keys = [(split, theta.tobytes()) for theta in thetas]
         new = {k: theta for k, theta in zip(keys, thetas, strict=True) if k not in self._begun}
         if new:
-            begun = _begun(self, split, list(new.values()))
+            if touches(self.binding):
+                begun = [_begun_touching(self, split, theta) for theta in new.values()]
+            else:
+                begun = _begun(self, split, list(new.values()))
             self._begun |= dict(zip(new, begun, strict=True))
         return [self._begun[key] for key in keys]
 
@@ -300,3 +305,48 @@ def _begun(bench: ProblemBuilder, split: str, thetas: Sequence[np.ndarray]) -> l
         starts[which, run] = p.starts(z)[0]
         out[which].information.append(information)
     return out
+
+
+#: Rounds of a descent on one stretch of runs that touch.
+ROUNDS = 12
+
+
+def touches(binding: Binding) -> bool:
+    """Whether contacts are simulated."""
+    return binding.chain.mechanism.ground is not None
+
+
+def _begun_touching(bench: ProblemBuilder, split: str, theta: np.ndarray) -> Begun:
+    """The start is fitted to the whole of a run."""
+    starts, information = [], []
+    for run in range(len(bench.runs(OutputError(), split).heads)):
+        path, _ = descend_over_stretches(bench, split, [], theta, [run])
+        assert path.hessian is not None
+        starts.append(path.problem.starts(path.z)[0])
+        information.append(path.hessian)
+    return Begun(np.array(starts), information)
+
+
+def descend_over_stretches(
+    bench: ProblemBuilder,
+    split: str,
+    free: Sequence[int] | np.ndarray,
+    theta: np.ndarray,
+    which: Sequence[int],
+) -> tuple[Path, int]:
+    """A fit to runs that touch (`which` of a split), over one nested stretch after the other, and
+    how many times they were simulated: what the first of them tell decides where the next ones
+    touch.
+    """
+    runs = bench.runs(OutputError(), split)
+    starts, path, spent = None, None, 0
+    for level in reversed(range(len(NESTED))):
+        stretches = [runs.heads[run][level] for run in which]
+        if level == 0:
+            stretches = [runs.records[run] for run in which]
+        p = bench.problem(OutputError(), split, free, theta, stretches)
+        path, simulated = descend_widely(p, p.z(theta, starts), ROUNDS)
+        theta, starts = p.theta(path.z), p.starts(path.z)
+        spent += simulated
+    assert path is not None
+    return path, spent

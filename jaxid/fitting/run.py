@@ -17,13 +17,20 @@ from jaxid.fitting.change import fit_change, noticed
 from jaxid.fitting.effect_starts import probe_starts
 from jaxid.fitting.ending import looked_again
 from jaxid.fitting.fitter import AbstractFitter, Minimum, Progress
-from jaxid.fitting.least_squares import levenberg_marquardt
+from jaxid.fitting.least_squares import levenberg_marquardt, problem_clip
 from jaxid.fitting.lost_runs import believed, growth, SENSITIVE
-from jaxid.fitting.problem_builder import default_residual, ProblemBuilder, start_values
+from jaxid.fitting.problem_builder import (
+    default_residual,
+    descend_over_stretches,
+    ProblemBuilder,
+    start_values,
+    touches,
+)
 from jaxid.fitting.result import Fit
 from jaxid.fitting.reweighting import reweighed
 from jaxid.fitting.scale_free import refuse_scale_free
 from jaxid.fitting.settings import label_of
+from jaxid.fitting.wide_slopes import descend_widely
 from jaxid.problem.binding import Binding
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import Residual
@@ -39,6 +46,8 @@ if TYPE_CHECKING:
 WORTH_SAVING_S = 5.0
 #: Iterations and tolerance of a fit of how runs begin.
 BEGINNINGS = (30, 1e-4)
+#: Rounds of a descent over contacts.
+ROUNDS = 40
 
 
 def fit_binding(
@@ -171,7 +180,11 @@ class _SeedRun:
         bench = self.benches.of(step)
         jobs = self._jobs(bench, fitter, level)
         found = fitter.minimise_each(jobs, self.budget, self.progress)
-        if step == samples.STEP:  # a finer one begins where the coarser one has ended
+        if touches(self.binding) and self.simulated and self.loss == "sum_of_squares":
+            found = [
+                self._over_contacts(job[0], result) for job, result in zip(jobs, found, strict=True)
+            ]
+        elif step == samples.STEP:  # a finer one begins where the coarser one has ended
             note = "stopped before its end was looked at from beside it"
             for seed, job, result in zip(level, jobs, found, strict=True):
                 self._offer(seed, bench, job[0], result, note)
@@ -221,9 +234,31 @@ class _SeedRun:
         """
         if not touches(self.binding) or self.residual.torques:
             return problem.z(guess)
+        if self.residual.free_run and self.loss == "sum_of_squares":
+            every = range(len(problem.records))
+            path, _ = descend_over_stretches(bench, "fit", problem.free, guess, every)
+            return problem_clip(problem, path.z)
         alone = bench.problem(self.residual, "fit", [], guess, loss=self.loss)
         (path,) = levenberg_marquardt([(alone, alone.z(guess))], *BEGINNINGS)
         return problem.z(guess, alone.starts(path.z))
+
+    def _over_contacts(self, problem: FitProblem, result: Minimum) -> Minimum:
+        """The end of a search over runs that touch, from where it was led by slopes that jump."""
+        path, spent = descend_widely(problem, result.z, ROUNDS)
+        if not path.loss < result.loss:
+            return result
+        evaluations = result.evaluations + spent
+        return replace(
+            result,
+            z=path.z,
+            loss=path.loss,
+            converged=path.converged,
+            stopped_because=path.stopped,
+            stalled=False,
+            evaluations=evaluations,
+            history=[*result.history, (evaluations, path.loss)],
+            seconds=[*result.seconds, *result.seconds[-1:]],
+        )
 
     def _refined(self, seed: int, step: float) -> np.ndarray | None:
         """The numbers of a fit that half the step would move; None for one that is done."""
@@ -297,11 +332,6 @@ class _SeedRun:
             wall_time=spent,
             notes=[*self.notes[seed], *notes],
         )
-
-
-def touches(binding: Binding) -> bool:
-    """Whether contacts are simulated."""
-    return binding.chain.mechanism.ground is not None
 
 
 class ProblemBuilders:

@@ -85,12 +85,19 @@ class Slopes:
 
 def residuals(p: FitProblem, points: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Residuals over the noise [samples] of all records at each of several z."""
+    return simulated(p, [p.theta(z) for z in points], [p.starts(z) for z in points])
+
+
+def simulated(
+    p: FitProblem, thetas: Sequence[np.ndarray], starts: Sequence[np.ndarray]
+) -> list[np.ndarray]:
+    """The same of several models, each with starts [records 2 nq] of its own."""
     many = len(p.records)
-    theta = np.repeat(np.array([p.theta(z) for z in points]), many, 0)
-    start = np.concatenate([p.starts(z) for z in points])
-    y = p.runs.engine.outputs(theta, start, np.tile(np.array(p.records), len(points)))
+    theta = np.repeat(np.array(thetas), many, 0)
+    records = np.tile(np.array(p.records), len(thetas))
+    y = p.runs.engine.outputs(theta, np.concatenate(starts), records)
     out = []
-    for k in range(len(points)):
+    for k in range(len(thetas)):
         own = []
         for record, row in zip(p.records, y[k * many : (k + 1) * many], strict=True):
             at = p.runs.record(record).samples

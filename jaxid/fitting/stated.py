@@ -29,6 +29,10 @@ if TYPE_CHECKING:
 SHOWN = 0.01
 
 
+#: How numbers of links and shapes begin.
+OF_BODIES = ("mass", "com_", "gyration_", "sliding_friction")
+
+
 @dataclass(frozen=True)
 class StatedNumber:
     """One number as it is stated and as it was fitted, or what two of them come to where the data
@@ -56,10 +60,12 @@ class StatedNumber:
 
     @property
     def place(self) -> str:
-        """The joint of a number, or the link of a body's; empty for what two numbers come to."""
+        """The joint of a number, or the link or shape of a body's; empty for what two numbers come
+        to.
+        """
         if " " in self.parameter:  # "kp of lift / armature of lift"
             return ""
-        of_body = self.parameter == "mass" or self.parameter.startswith(("com_", "gyration_"))
+        of_body = self.parameter.startswith(OF_BODIES)
         return self.link if of_body and self.link else self.joint
 
     def to_dict(self) -> dict[str, Any]:

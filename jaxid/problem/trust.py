@@ -66,6 +66,7 @@ OF_FIELD = {
     "gravity_torque": "first moment",
     "F_v": "damping",
     "offset": "dry friction",
+    "sliding_friction": "dry friction",
 }
 OF_UNIT = {"kg": "mass", "kg m": "first moment", "kg m^2": "inertia", "m": "length"}
 #: How names of coordinates of a centre of mass begin.

@@ -32,6 +32,10 @@ def stated(binding: Any, found: Mapping[int, Any]) -> dict[int, dict[str, Any]]:
     return rows
 
 
+#: Numbers of a shape, which may have the name of a link.
+OF_SHAPES = ("sliding_friction",)
+
+
 def _row(binding: Any, found: Mapping[int, Any], i: int, tree: Tree | None) -> dict[str, Any]:
     """One number as it is stated and as it was fitted."""
     kind, _, place = binding.layout.entries[i].name.partition("@")
@@ -47,14 +51,11 @@ def _row(binding: Any, found: Mapping[int, Any], i: int, tree: Tree | None) -> d
     # add by themselves.
     refuted = deviation is not None and abs(deviation) > REFUTED
     fitted = estimate.value - added if added and refuted else estimate.value
-    link, joint = _link(tree, place), place
-    if tree is not None and place in tree.links:
-        link = place
-    if tree is not None and place not in tree.joints:
-        joint = tree.joints[tree.links.index(place)] if place == link else ""  # "": of a shape
+    link, joint = _link_and_joint(tree, kind, place)
+    unit = "" if estimate.unit == "1" else f" {estimate.unit}"
     text = (
-        f"{kind.replace('_', ' ')} of {place or binding.chain.mechanism.name}: {fitted:.4g}"
-        f" {estimate.unit}, stated {value:.4g}"
+        f"{kind.replace('_', ' ')} of {place or binding.chain.mechanism.name}: {fitted:.4g}{unit},"
+        f" stated {value:.4g}"
     )
     if added:
         text += f"; the file's own steps add {added:.2g} to it"
@@ -71,6 +72,20 @@ def _row(binding: Any, found: Mapping[int, Any], i: int, tree: Tree | None) -> d
         "deviation": deviation,
         "text": text,
     }
+
+
+def _link_and_joint(tree: Tree | None, kind: str, place: str) -> tuple[str, str]:
+    """The link and the joint of a number at a place: a joint, a link or a shape."""
+    link, joint = _link(tree, place), place
+    if tree is None:
+        return link, joint
+    if place in tree.links:
+        link = place
+    if place not in tree.joints:
+        joint = tree.joints[tree.links.index(place)] if place == link else ""  # "": of a shape
+    if kind in OF_SHAPES:
+        link = place
+    return link, joint
 
 
 def added_by_steps(binding: Any, found: Mapping[int, Any], tree: Tree, joint: str) -> float:

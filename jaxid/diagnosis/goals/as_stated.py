@@ -17,14 +17,13 @@ from jaxid.base.wording import listed
 from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.goals.changes import StatedDifference
 from jaxid.diagnosis.goals.gains import held_gains
-from jaxid.diagnosis.goals.own_run import FileRun, stepped_changes
+from jaxid.diagnosis.goals.own_run import FileRun
 from jaxid.diagnosis.goals.propose import as_vector, candidates_of, Proposal
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.single_changes import belief_of
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
 from jaxid.diagnosis.selection import indistinct, joint_loss
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.dynamics.effect import Effect
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.binding import Binding
@@ -208,10 +207,11 @@ class Alone:
             return self.stated[layout.names[i]]
 
         def value(i, h):
-            return (
-                f"{layout.names[i]} {h.theta[i] - self.theta[i] + stated(i):.3g}"
-                f" {layout.entries[i].unit} (stated {stated(i):.3g})"
-            )
+            own = h.theta[i] - self.theta[i] + stated(i)
+            unit = layout.entries[i].unit
+            unit = "" if unit == "1" else unit
+            parts = (layout.names[i], f"{own:.3g}", unit, f"(stated {stated(i):.3g})")
+            return " ".join(filter(None, parts))
 
         own_numbers = [h for h in self._as_few(first, enough) if self.of_numbers(h)][:1]
         if self.of_numbers(first):
@@ -242,15 +242,22 @@ class Alone:
 class AsStated:
     """What the file explains as it is simulated: by itself, or with a single change."""
 
-    def __init__(self, bench: ProblemBuilder, run: FileRun, kinds: Sequence[type[Effect]]):
-        """`bench` of the model without candidates, and what the file's run in it leaves."""
+    def __init__(
+        self,
+        bench: ProblemBuilder,
+        run: FileRun,
+        proposed: Callable[[], list[StatedDifference]],
+    ):
+        """`bench` of the model without candidates, and what the file's run in it leaves;
+        `proposed()` are the single changes that are likeliest.
+        """
         self.plain = bench.binding
         #: Whether it explains the recording by itself.
         self.stands = run.accounts(self.plain)
-        #: Which single changes columns of first order hold likeliest.
+        #: Which single changes are simulated.
         self.changes: list[StatedDifference] = []
         if not self.stands:
-            self.changes = stepped_changes(self.plain, kinds)
+            self.changes = proposed()
         self.alone: Alone | None = None
         self.enough: list[Hypothesis] = []
 
@@ -277,8 +284,8 @@ class AsStated:
 
     @property
     def nearest(self) -> Proposal | None:
-        """The effects that explain most where all else stands as stated, as a set to be asked beside
-        numbers that are re-tuned.
+        """The effects that explain most where all else stands as stated, as a set to be asked
+        beside numbers that are re-tuned.
         """
         if self.alone is None or self.alone.nearest is None:
             return None
@@ -289,8 +296,16 @@ class AsStated:
         """Names of the law's gains whose other value is what explains the recording."""
         if self.alone is None or not self.enough:
             return []
+        held = {self.alone.decider.bench.binding.layout.names[i] for i in self.alone.gains}
+        return [name for name in self.moved if name in held]
+
+    @property
+    def moved(self) -> list[str]:
+        """Names of the numbers of the model whose other values explain the recording."""
+        if self.alone is None or not self.enough or self.lacks:
+            return []
         layout = self.alone.decider.bench.binding.layout
-        return [layout.names[i] for i in self.enough[0].index if i in self.alone.gains]
+        return [layout.names[i] for i in self.enough[0].index]
 
     @property
     def begin(self) -> np.ndarray | None:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from jaxid.base.errors import UsageError
 from jaxid.base.wording import listed, names_of
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.goals.as_stated import AsStated
@@ -16,10 +17,18 @@ from jaxid.diagnosis.goals.further import with_what_is_still_missing
 from jaxid.diagnosis.goals.gains import asked_for, known_loosely, with_room
 from jaxid.diagnosis.goals.hold import goes_the_other_way, said
 from jaxid.diagnosis.goals.law_told import law_told
-from jaxid.diagnosis.goals.own_run import run_of_file, without_steps
-from jaxid.diagnosis.goals.propose import as_vector, kinds_of, Proposal, proposals, shown
+from jaxid.diagnosis.goals.own_run import run_of_file, stepped_changes, without_steps
+from jaxid.diagnosis.goals.propose import (
+    as_vector,
+    kinds_of,
+    Proposal,
+    proposals,
+    ProposedSets,
+    shown,
+)
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy, loop_step
+from jaxid.diagnosis.goals.touching import simulated_changes, simulated_effects
 from jaxid.diagnosis.hypothesis import Hypothesis, SearchResult
 from jaxid.diagnosis.question import Offer, SearchOutcome
 from jaxid.diagnosis.result import Diagnosis
@@ -29,7 +38,7 @@ from jaxid.dynamics.joint_readings import all_read
 from jaxid.fitting.assemble import assemble
 from jaxid.fitting.fitter import Minimum, Progress
 from jaxid.fitting.least_squares import Path
-from jaxid.fitting.problem_builder import ProblemBuilder
+from jaxid.fitting.problem_builder import ProblemBuilder, touches
 from jaxid.fitting.result import Fit
 from jaxid.problem.binding import Binding
 from jaxid.problem.residual import OutputError
@@ -44,6 +53,16 @@ TOO_DEAR = (
 SETTLED = (
     "numbers are fitted to the fit and validation runs together, once these have chosen the"
     " effects: errors on validation runs are no longer held out, those on report runs are"
+)
+
+
+TOUCHING = (
+    "contacts are simulated: how a run begins is fitted to the whole of it, and changes of the file"
+    " are asked one at a time"
+)
+NO_RUN = (
+    "a diagnosis over contacts needs the position of every joint, and a run of the file that comes"
+    " to its end: here one diverges, or joints are not what is read"
 )
 
 
@@ -119,7 +138,10 @@ def diagnose_led(
         answer=answer,
         progress=progress,
     )
-    found, other_way = _diagnosed(ask, binding, seed, began)
+    if touches(binding):
+        found, other_way = _touching(ask, binding, seed, began), False
+    else:
+        found, other_way = _diagnosed(ask, binding, seed, began)
     notes = []
     if other_way:
         other = ask.otherwise()
@@ -152,7 +174,7 @@ def _diagnosed(
     run = run_of_file(bench := ask.made(binding))
     stated = None
     if run is not None and stands(binding.chain, ask.dataset):
-        stated = AsStated(bench, run, ask.kinds)
+        stated = AsStated(bench, run, lambda: stepped_changes(binding, ask.kinds))
     by_itself = stated is not None and stated.stands
     near = binding.theta if by_itself else study.theta
     names, bare = binding.layout.names, Proposal((), (), near)
@@ -176,11 +198,71 @@ def _diagnosed(
     return replace(found, notes=(*found.notes, *notes)), bool(road.other_way)
 
 
+def _touching(ask: GoalsQuestion, binding: Binding, seed: int, began: float) -> Diagnosis:
+    """The diagnosis of runs that touch: by single changes of the file, which are simulated."""
+    bench = ask.made(binding)
+    say = ask.progress or (lambda *_: None)
+    say("the file's own run", 0, 1, "how runs begin")
+    run = run_of_file(bench)
+    if run is None:
+        raise UsageError(NO_RUN)
+    every = [kind.name for kind in ask.kinds]
+    wide = ask.made(ask.bound(every))
+    say("the file's own run", 1, 1, f"changes, {len(every)} kinds of effects")
+    stated = AsStated(bench, run, lambda: simulated_changes(wide, binding, ask.kinds))
+    alone = kinds_of([change.proposal for change in stated.changes])
+    road = _Road(
+        names=binding.layout.names,
+        bare=Proposal((), (), binding.theta),
+        seed=seed,
+        began=began,
+        progress=ask.progress,
+        other_way=False,
+    )
+    stated.ask(lambda: ask.made(ask.bound(alone)), ask.progress)
+    if stated.explains:
+        found, notes = _as_stated(ask, road, stated, alone, only=stated.moved)
+    else:
+        found, notes = _beside_numbers(ask, road, binding, every), []
+    notes.append(TOUCHING)
+    return replace(found, notes=(*found.notes, *notes))
+
+
+def _beside_numbers(
+    ask: GoalsQuestion, road: _Road, binding: Binding, every: Sequence[str]
+) -> Diagnosis:
+    """The diagnosis where no change explains the runs by itself: effects beside numbers that are
+    re-tuned, one at a time.
+    """
+    wide = ask.made(ask.known(every))
+    first = Decider(wide, road.names, ask.progress)
+    retuned = first.refit((), as_vector(wide.binding, road.names, road.bare))
+    own = retuned.theta[[wide.binding.layout.index(name) for name in road.names]]
+    road.bare = Proposal((), (), own)
+    sets = tuple(simulated_effects(wide, binding, ask.kinds, retuned))
+    names = kinds_of(sets)
+
+    def decide(decider: Decider, nominal: Hypothesis) -> tuple[Decider, SearchResult]:
+        return decider, decider.decided(nominal, ProposedSets(road.bare, sets))
+
+    return ask.answer(
+        ask.known(names), names, lambda bench, offer: road(bench, offer, decide), ask.step
+    )
+
+
 def _as_stated(
-    ask: GoalsQuestion, road: _Road, stated: AsStated, names: Sequence[str]
+    ask: GoalsQuestion,
+    road: _Road,
+    stated: AsStated,
+    names: Sequence[str],
+    only: Sequence[str] | None = None,
 ) -> tuple[Diagnosis, list[str]]:
-    """The diagnosis of a recording that the file explains but for one change, and its notes."""
+    """The diagnosis of a recording that the file explains but for one change, and its notes; `only`
+    these numbers of the model are re-tuned, by default all.
+    """
     notes, own = [], ask.bound(names, stated.gains)
+    if only is not None:
+        own = replace(own, free=[own.layout.index(name) for name in only])
     if stated.begin is not None:
         road.bare = Proposal((), (), stated.begin)
     if stated.gains:

@@ -12,20 +12,30 @@ from jaxid.diagnosis.goals.propose import as_vector, candidates_of, ProposedSets
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
 from jaxid.diagnosis.probability import log_evidence, RULE
 from jaxid.diagnosis.selection import in_lead, joint_loss
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.weigh import LARGEST, TOGETHER
 from jaxid.diagnosis.verdict import judge, level
 from jaxid.dynamics.effect import BodyEffect, JointEffect
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import Path
-from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
+from jaxid.fitting.problem_builder import (
+    descend_over_stretches,
+    estimate_starts,
+    ProblemBuilder,
+    touches,
+)
 from jaxid.fitting.secant import descend_on_secants, Slopes
+from jaxid.fitting.wide_slopes import descend_widely
 from jaxid.problem.binding import Binding
+from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import OutputError
 from jaxid.problem.trust import counted_as_often
 
 
 #: Iterations and tolerance of a refit from the numbers that were read along the measured motion.
 NEAR = (12, 1e-3)
+#: Rounds of a refit of runs that touch.
+TOUCHING = 16
 #: An effect that is missed this many times as much as it has to be needs no simulation without it.
 SURELY = 4.0
 
@@ -62,7 +72,10 @@ class Decider:
             *(i for c in effects for i in c.index),
         ]
         p = self.bench.problem(OutputError(), "fit", free, theta)
-        if like is None:
+        if touches(self.bench.binding):
+            every = range(len(p.records))
+            path, spent = descend_over_stretches(self.bench, "fit", free, theta, every)
+        elif like is None:
             path, self.slopes, spent = descend_on_secants(p, [p.z(theta)], None, *NEAR)
         else:  # its own numbers, or those of the model that it is like
             own, starts = like.problem.theta(like.z), like.problem.starts(like.z)
@@ -79,9 +92,19 @@ class Decider:
         """The same from where its descent ended, with slopes of its own: those of another model
         lead only so far.
         """
-        path, _, spent = descend_on_secants(h.path.problem, [h.path.z], None, *NEAR)
+        path, spent = self._from("fit", h.path.problem, h.path.z)
         self.evaluations += spent
         return self._judged(h.effects, path)
+
+    def _from(self, split: str, p: FitProblem, z: np.ndarray) -> tuple[Path, int]:
+        """A descent from z with slopes of its own, and how often the runs were simulated."""
+        if not touches(self.bench.binding):
+            path, _, spent = descend_on_secants(p, [z], None, *NEAR)
+            return path, spent
+        near, spent = descend_widely(p, z, TOUCHING)
+        theta, every = p.theta(near.z), range(len(p.records))
+        again, more = descend_over_stretches(self.bench, split, p.free, theta, every)
+        return min(near, again, key=lambda path: path.cost), spent + more
 
     def reweighed(self, h: Hypothesis) -> Hypothesis:
         """The same with priors that count as often as what the model itself leaves: columns, which
@@ -121,7 +144,7 @@ class Decider:
             return h
         p = bench.problem(OutputError(), "fit+validation", own.free, h.theta)
         starts = [own.starts(h.path.z), estimate_starts(bench, "validation", [h.theta])[0]]
-        path, _, spent = descend_on_secants(p, [p.z(h.theta, np.concatenate(starts))], None, *NEAR)
+        path, spent = self._from("fit+validation", p, p.z(h.theta, np.concatenate(starts)))
         self.evaluations += spent
         return Hypothesis(h.effects, p.theta(path.z), path, h.validation)
 
@@ -220,6 +243,9 @@ class Decider:
         return {place: self.sure.get(place, 1.0) for place in places}
 
     def at_noise(self, h: Hypothesis) -> bool:
+        if touches(self.bench.binding):
+            fitted = h.path.problem.residuals(h.path.z)
+            return _mostly_at_noise(fitted) and _mostly_at_noise(h.validation.settled)
         return h.validation.loss <= level(h.validation.count) and h.fit_loss <= level(h.path.count)
 
     def told_of_losers(self, won: Hypothesis, tried: Sequence[Hypothesis]) -> None:
@@ -288,6 +314,14 @@ class Decider:
         directions = RULE.directions
         gained = directions / 2 * np.log1p(missed / (beyond + directions))
         return float(gained + RULE.log_prior - RULE.per_number * len(c.index))
+
+
+def _mostly_at_noise(residual: Sequence[np.ndarray]) -> bool:
+    """Whether residuals over the noise are noise but for a few samples: where something touches one
+    step of the simulator later than it did, those that follow are off by far.
+    """
+    squares = np.concatenate([r.ravel() for r in residual]) ** 2
+    return float(np.mean(np.minimum(squares, LIMITS.three_sigma**2))) <= level(squares.size)
 
 
 def _probability(gained: float) -> float:

@@ -1,0 +1,275 @@
+"""Single changes of a robot's file whose runs touch, by simulation.
+
+Columns along a motion know nothing of the forces of the ground. Every number and every effect is
+therefore simulated at a few sizes, with all else as stated, and ranked by what it leaves once the
+starts of the runs have moved, to first order, to where they leave least.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jaxid.diagnosis.goals.changes import FIRST, StatedDifference
+from jaxid.diagnosis.goals.gains import held_gains, known_loosely, with_room
+from jaxid.diagnosis.goals.probes import is_level, probes_of
+from jaxid.diagnosis.goals.propose import Proposal
+from jaxid.diagnosis.hypothesis import Hypothesis
+from jaxid.diagnosis.torque.library import Unit
+from jaxid.dynamics.effect import Effect
+from jaxid.dynamics.parameter import specs
+from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
+from jaxid.fitting.secant import simulated
+from jaxid.fitting.wide_slopes import WideDescent
+from jaxid.problem.binding import Binding
+from jaxid.problem.residual import OutputError
+
+
+#: Sizes of a number that are tried, in its standard deviations or typical changes.
+OF_NUMBERS = (-8.0, -2.0, -0.5, 0.5, 2.0, 8.0)
+#: Sizes of an effect that are tried, as shares of its probes.
+OF_EFFECTS = (1.0, 0.25)
+#: Shares of the best size of each change that are tried next.
+NEARBY = (0.35, 0.5, 0.7, 0.85, 1.2, 1.5, 2.0, 3.0)
+#: Changes whose sizes are tried more closely.
+LOOKED_AT = 16
+#: A change that leaves this many times as much as the best one is not what explains the runs.
+FAR = 10.0
+#: Simulations whose runs are kept at a time.
+AT_ONCE = 256
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A model with one change of one size. `theta` [wide layout]; `strengths` its numbers that are
+    0 without the change, or moved from what is stated; `levels` those that are scaled themselves.
+    """
+
+    theta: np.ndarray
+    stated: np.ndarray
+    kind: str
+    units: tuple[tuple[str, str, tuple[str, ...]], ...] = ()  # effect, place, fields
+    strengths: tuple[int, ...] = ()
+    levels: tuple[int, ...] = ()
+
+    @property
+    def place(self) -> tuple[object, ...]:
+        return tuple(unit[:2] for unit in self.units) or self.strengths
+
+    def scaled(self, share: float, lower: np.ndarray, upper: np.ndarray) -> Trial:
+        """The same change of another size, within the bounds."""
+        theta = self.theta.copy()
+        moved, whole = list(self.strengths), list(self.levels)
+        theta[moved] = self.stated[moved] + share * (theta[moved] - self.stated[moved])
+        theta[whole] = share * theta[whole]
+        index = [*moved, *whole]
+        theta[index] = np.clip(theta[index], lower[index], upper[index])
+        return replace(self, theta=theta)
+
+
+def simulated_changes(
+    bench: ProblemBuilder, plain: Binding, kinds: Sequence[type[Effect]]
+) -> list[StatedDifference]:
+    """The changes of the model `plain` that leave least by themselves, likeliest first; `bench` has
+    the effects of these kinds as candidates.
+    """
+    wide = bench.binding
+    theta = _in_wide(wide, plain, plain.theta)
+    judge = _Judge(bench, theta, [], estimate_starts(bench, "fit", [theta])[0])
+    every = [*_of_numbers(wide, plain, theta), *_of_effects(wide, kinds, theta)]
+    near = judge.nearest(every)
+    most = {"number": FIRST // 2, "law": FIRST // 2, "effect": FIRST, "effects": FIRST // 2}
+    out = []
+    for kind, count in most.items():
+        own = [trial for trial in near if trial.kind == kind]
+        out += [_difference(wide, plain, trial) for trial in own[:count]]
+    return out
+
+
+def simulated_effects(
+    bench: ProblemBuilder, plain: Binding, kinds: Sequence[type[Effect]], nominal: Hypothesis
+) -> list[Proposal]:
+    """The effects that leave least beside numbers that are re-tuned, to first order, likeliest
+    first: `nominal` is the model of the bench without effects.
+    """
+    wide, path = bench.binding, nominal.path
+    starts = path.problem.starts(path.z)
+    judge = _Judge(bench, nominal.theta, path.problem.free, starts)
+    near = judge.nearest(list(_of_effects(wide, kinds, nominal.theta)))
+    theta = nominal.theta[[wide.layout.index(name) for name in plain.layout.names]]
+    retuned = replace(plain, theta=theta)
+    return [_difference(wide, retuned, trial).proposal for trial in near[:FIRST]]
+
+
+def _in_wide(wide: Binding, plain: Binding, theta: np.ndarray) -> np.ndarray:
+    """Numbers of a model in the layout that has candidates too."""
+    out = wide.theta.copy()
+    out[[wide.layout.index(name) for name in plain.layout.names]] = theta
+    return out
+
+
+class _Judge:
+    """What changes leave of the fit runs, with starts and `free` numbers that move to first
+    order.
+    """
+
+    def __init__(
+        self,
+        bench: ProblemBuilder,
+        theta: np.ndarray,
+        free: Sequence[int] | np.ndarray,
+        starts: np.ndarray,
+    ):
+        p = bench.problem(OutputError(), "fit", free, theta)
+        self.bounds = bench.binding.lower, bench.binding.upper
+        self.problem, self.starts = p, starts
+        z = p.z(theta, starts)
+        self.known = p.known_before(z)[0]
+        descent = WideDescent(p, z)
+        if p.size:
+            descent.step(1.0)
+        basis, sizes, _ = np.linalg.svd(descent.slopes, full_matrices=False)
+        self.basis = basis[:, sizes > 1e-9 * sizes.max(initial=0.0)]
+
+    def left(self, residual: np.ndarray) -> float:
+        """The sum of squares that starts and numbers do not take away; infinite where a run
+        diverged.
+        """
+        if not np.isfinite(residual).all():
+            return np.inf
+        every = np.concatenate([residual, self.known])
+        rest = every - self.basis @ (self.basis.T @ every)
+        return float(rest @ rest)
+
+    def nearest(self, trials: Sequence[Trial]) -> list[Trial]:
+        """Each change in its best size, least left first; none that leaves far more than the
+        best.
+        """
+        best = self._best(trials)
+        nearer = []
+        for _, trial in best[:LOOKED_AT]:
+            nearer += [trial.scaled(share, *self.bounds) for share in NEARBY]
+        best = self._best([*nearer, *(trial for _, trial in best)])
+        return [trial for cost, trial in best if cost <= FAR * best[0][0]]
+
+    def _best(self, trials: Sequence[Trial]) -> list[tuple[float, Trial]]:
+        """The best size of each change, and what it leaves; least first."""
+        found: dict[tuple[object, ...], tuple[float, Trial]] = {}
+        for begin in range(0, len(trials), AT_ONCE):
+            part = trials[begin : begin + AT_ONCE]
+            thetas = [trial.theta for trial in part]
+            residuals = simulated(self.problem, thetas, [self.starts] * len(part))
+            for trial, residual in zip(part, residuals, strict=True):
+                cost = self.left(residual)
+                if cost < found.get(trial.place, (np.inf,))[0]:
+                    found[trial.place] = cost, trial
+        return sorted(found.values(), key=lambda pair: pair[0])
+
+
+def _of_numbers(wide: Binding, plain: Binding, stated: np.ndarray) -> Iterator[Trial]:
+    """Each number of the file or its law by itself."""
+    loose = known_loosely(with_room(plain))
+    gains = set(held_gains(plain))
+    for i in loose.free:
+        own = wide.layout.index(loose.layout.names[i])
+        size = loose.priors[i][1] if i in loose.priors else loose.scale[i]
+        kind = "law" if i in gains else "number"
+        theta = stated.copy()
+        theta[own] += size
+        one = Trial(theta=theta, stated=stated, kind=kind, strengths=(own,))
+        for share in OF_NUMBERS:
+            yield one.scaled(share, wide.lower, wide.upper)
+
+
+def _of_effects(
+    wide: Binding, kinds: Sequence[type[Effect]], stated: np.ndarray
+) -> Iterator[Trial]:
+    """Each effect at each place, and at all of them at once, at its probes."""
+    for kind in kinds:
+        places = wide.chain.offers(kind)
+        each = [_at_place(wide, kind, k, place, stated) for k, place in enumerate(places)]
+        for trials in each:
+            yield from trials
+        if len(places) > 1:
+            for alike in zip(*each, strict=False):
+                yield _at_all(alike, stated)
+
+
+def _at_place(
+    wide: Binding, kind: type[Effect], k: int, place: str, stated: np.ndarray
+) -> list[Trial]:
+    out = []
+    fields = specs(kind)
+    numbers = {wide.layout.entries[i].field: i for i in wide.layout.of_effect(kind.name, place)}
+    for probe in probes_of(wide, kind, k):
+        theta = stated.copy()
+        for field, value in probe.items():
+            theta[numbers[field]] = value
+        strong = [field for field in probe if fields[field].value == 0]
+        two_sided = any(wide.lower[numbers[field]] < 0 for field in strong)
+        one = Trial(
+            theta=theta,
+            stated=stated,
+            kind="effect",
+            units=((kind.name, place, tuple(probe)),),
+            strengths=tuple(numbers[field] for field in strong),
+            levels=tuple(numbers.values()) if is_level(kind) else (),
+        )
+        signs = (1.0, -1.0) if two_sided else (1.0,)
+        shares = (1.0,) if is_level(kind) else OF_EFFECTS
+        for sign in signs:
+            out += [one.scaled(sign * share, wide.lower, wide.upper) for share in shares]
+    return out
+
+
+def _at_all(alike: Sequence[Trial], stated: np.ndarray) -> Trial:
+    """One effect of the same size at several places."""
+    theta = stated.copy()
+    units: list[tuple[str, str, tuple[str, ...]]] = []
+    strengths: list[int] = []
+    levels: list[int] = []
+    for trial in alike:
+        changed = np.flatnonzero(trial.theta != stated)
+        theta[changed] = trial.theta[changed]
+        units += trial.units
+        strengths += trial.strengths
+        levels += trial.levels
+    return Trial(
+        theta=theta,
+        stated=stated,
+        kind="effects",
+        units=tuple(units),
+        strengths=tuple(strengths),
+        levels=tuple(levels),
+    )
+
+
+def _difference(wide: Binding, plain: Binding, trial: Trial) -> StatedDifference:
+    """A trial as what is refitted."""
+    theta = plain.theta.copy()
+    if not trial.units:
+        index = tuple(plain.layout.index(wide.layout.names[i]) for i in trial.strengths)
+        theta[list(index)] = trial.theta[list(trial.strengths)]
+        return StatedDifference(Proposal((), (), theta), index)
+    units, numbers = [], []
+    for effect, place, fields in trial.units:
+        own = {wide.layout.entries[i].field: i for i in wide.layout.of_effect(effect, place)}
+        values = np.array([trial.theta[own[field]] for field in fields])
+        inf = np.full(len(fields), np.inf)
+        units.append(
+            Unit(
+                effect=effect,
+                location=place,
+                fields=fields,
+                least=-inf,
+                most=inf,
+                spread=inf,
+                shape={},
+                joints=(),
+                columns=[],
+            )
+        )
+        numbers.append(values)
+    return StatedDifference(Proposal(tuple(units), tuple(numbers), theta))

@@ -1,0 +1,129 @@
+"""A diagnosis of runs that touch, on twins that MuJoCo makes."""
+
+import importlib
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import jaxid
+from jaxid.data.dataset import ModelSpec
+from jaxid.diagnosis.goals.touching import Trial
+from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
+from jaxid.models import Robot
+from jaxid.problem.binding import bind
+from jaxid.problem.residual import OutputError
+from test_contacts import LEG, SOLES
+
+
+mujoco: Any = importlib.import_module("mujoco")  # its names are made when it loads
+
+STEP, EVERY = 0.002, 5
+NAMES = ("along", "up", "hip", "knee")
+NOISE = np.array([2e-4, 2e-4, 1e-4, 1e-4])
+TEXT = LEG.format(shape=SOLES["capsule"], integrator="implicitfast")
+
+
+def goals(t: np.ndarray, hops_per_s: float) -> np.ndarray:
+    bend = 0.8 + 0.45 * np.clip(1.5 * np.sin(2 * np.pi * hops_per_s * t), -0.6, 1.0)
+    return np.stack([-0.5 * bend, bend], 1)
+
+
+def run(text: str, hops_per_s: float, seconds: float, late: int) -> tuple[np.ndarray, np.ndarray]:
+    """Goals and positions every 10 ms of a leg that hops; commands act `late` steps after."""
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    t = np.arange(round(seconds / STEP)) * STEP
+    held = goals(t, hops_per_s)[np.arange(len(t)) // EVERY * EVERY]
+    data.qpos[:] = [0.0, 0.6, *held[0]]
+    positions, landed = np.empty((len(t), 4)), 0
+    for k in range(len(t)):
+        positions[k] = data.qpos
+        data.ctrl[:] = held[max(0, k - late)]
+        mujoco.mj_step(model, data)
+        landed += data.ncon > 0
+    assert 0.1 * len(t) < landed
+    return held[::EVERY], positions[::EVERY]
+
+
+def recorded(text: str, seconds: float, late: int = 0, seed: int = 0) -> jaxid.Dataset:
+    """Three runs, one to fit, one to judge by and one to report."""
+    rng = np.random.default_rng(seed)
+    made = [run(text, hops_per_s, seconds, late) for hops_per_s in (1.4, 1.25, 1.55)]
+    noisy = [q + NOISE * rng.normal(size=q.shape) for _, q in made]
+    t = np.arange(len(noisy[0])) * STEP * EVERY
+    data = jaxid.Dataset.from_arrays(
+        [t] * 3,
+        {f"{name}_cmd": [u[:, k] for u, _ in made] for k, name in enumerate(NAMES[2:])},
+        {name: [q[:, k] for q in noisy] for k, name in enumerate(NAMES)},
+        split=["fit", "validation", "report"],
+        units={
+            **dict.fromkeys(NAMES[:2], "m"),
+            **dict.fromkeys([*NAMES[2:], "hip_cmd", "knee_cmd"], "rad"),
+        },
+        noise_std=dict(zip(NAMES, NOISE.tolist(), strict=True)),
+        check_model=False,
+    )
+    return replace(data, model=ModelSpec(contacts=True))
+
+
+def robot() -> Robot:
+    return Robot.from_mjcf("leg.xml", text=TEXT)
+
+
+def test_a_trial_changes_its_size_within_the_bounds():
+    stated = np.array([1.0, 0.0, 1e12])
+    trial = Trial(
+        theta=np.array([1.0, 0.4, 20.0]), stated=stated, kind="effect", strengths=(1,), levels=(2,)
+    )
+    low, high = np.array([0.0, -1.0, 1.0]), np.array([2.0, 0.5, 1e3])
+    np.testing.assert_allclose(trial.scaled(0.5, low, high).theta, [1.0, 0.2, 10.0])
+    np.testing.assert_allclose(trial.scaled(-2.0, low, high).theta, [1.0, -0.8, 1.0])
+    np.testing.assert_allclose(trial.scaled(4.0, low, high).theta, [1.0, 0.5, 80.0])
+    moved = Trial(theta=np.array([1.3, 0.0, 1e12]), stated=stated, kind="number", strengths=(0,))
+    np.testing.assert_allclose(moved.scaled(2.0, low, high).theta, [1.6, 0.0, 1e12])
+
+
+@pytest.mark.slow
+def test_how_a_run_that_hops_began_is_found_to_the_noise():
+    data = recorded(TEXT, 2.0)
+    bench = ProblemBuilder(bind(robot(), data), differences=1)
+    theta = bench.binding.theta
+    for split in ("fit", "validation", "report"):
+        starts = estimate_starts(bench, split, [theta])[0]
+        problem = bench.problem(OutputError(), split, [], theta)
+        (left,) = problem.residuals(problem.z(theta, starts))
+        assert np.sqrt(np.mean(left**2)) < 1.1
+
+
+def test_by_torque_contacts_are_not_asked():
+    data = recorded(TEXT, 1.0)
+    with pytest.raises(jaxid.UsageError, match="compares the runs themselves"):
+        jaxid.diagnose(robot(), data, residual="inverse_dynamics")
+
+
+@pytest.mark.slow
+def test_nothing_is_missing_where_the_file_hops_as_the_machine():
+    found = jaxid.diagnose(robot(), recorded(TEXT, 2.0))
+    assert found.which.verdict == "none"
+
+
+@pytest.mark.slow
+def test_slippery_ground_is_a_number_of_the_file():
+    slippery = TEXT.replace('friction="1.2 ', 'friction="0.5 ')
+    assert slippery != TEXT
+    found = jaxid.diagnose(robot(), recorded(slippery, 2.0))
+    assert found.which.verdict == "none"
+    value = found.nominal.parameters["sliding_friction@sole"].value
+    assert value == pytest.approx(0.5, abs=0.02)
+    assert not found.which.effects
+
+
+@pytest.mark.slow
+def test_late_commands_of_a_leg_that_hops_are_named():
+    found = jaxid.diagnose(robot(), recorded(TEXT, 2.0, late=4))
+    assert found.which.verdict == "named"
+    assert {e.effect for e in found.which.effects} == {"input_delay"}
+    for effect in found.which.effects:
+        assert effect.parameters["delay"].value == pytest.approx(0.008, abs=5e-4)
