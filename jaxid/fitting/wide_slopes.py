@@ -103,15 +103,9 @@ class WideDescent:
         )
 
     def _directions(self) -> np.ndarray:
-        """Principal directions of what is known, each as long as moves the residual by the noise,
-        or as a typical change of a number where nothing is known [size size].
-        """
-        p = self.problem
         if self.curvature is None:
             self.curvature = self._curvature_here()
-        scaled = p.scale[:, None] * self.curvature * p.scale
-        values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
-        return p.scale[:, None] * vectors / np.sqrt(np.maximum(values, 1.0))
+        return principal_directions(self.problem, self.curvature)
 
     def _curvature_here(self) -> np.ndarray:
         """By differences over tiny steps, before any others are known."""
@@ -145,6 +139,15 @@ class WideDescent:
             known = self.problem.known_before(z)[0]
             out.append(np.concatenate([r, known]))
         return out
+
+
+def principal_directions(p: FitProblem, curvature: np.ndarray) -> np.ndarray:
+    """Principal directions of what is known, each as long as moves the residual by the noise, or as
+    a typical change of a number where nothing is known [size size].
+    """
+    scaled = p.scale[:, None] * curvature * p.scale
+    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
+    return p.scale[:, None] * vectors / np.sqrt(np.maximum(values, 1.0))
 
 
 def descend_widely(p: FitProblem, z: np.ndarray, rounds: int) -> tuple[Path, int]:

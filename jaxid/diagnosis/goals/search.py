@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from jaxid.diagnosis.evidence import held_out, knowledge
+from jaxid.diagnosis.goals.left_open import left_open
 from jaxid.diagnosis.goals.propose import as_vector, candidates_of, ProposedSets
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
 from jaxid.diagnosis.probability import log_evidence, RULE
 from jaxid.diagnosis.selection import in_lead, joint_loss
-from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.weigh import LARGEST, TOGETHER
 from jaxid.diagnosis.verdict import judge, level
 from jaxid.dynamics.effect import BodyEffect, JointEffect
@@ -243,10 +243,12 @@ class Decider:
         return {place: self.sure.get(place, 1.0) for place in places}
 
     def at_noise(self, h: Hypothesis) -> bool:
-        if touches(self.bench.binding):
-            fitted = h.path.problem.residuals(h.path.z)
-            return _mostly_at_noise(fitted) and _mostly_at_noise(h.validation.settled)
-        return h.validation.loss <= level(h.validation.count) and h.fit_loss <= level(h.path.count)
+        left = {"fit": h.fit_loss, "validation": h.validation.loss}
+        allowed = {"fit": level(h.path.count), "validation": level(h.validation.count)}
+        if touches(self.bench.binding) and any(left[split] > allowed[split] for split in left):
+            for split, open_ in left_open(self.bench, h).items():
+                allowed[split] += open_
+        return all(left[split] <= allowed[split] for split in left)
 
     def told_of_losers(self, won: Hypothesis, tried: Sequence[Hypothesis]) -> None:
         """Effects of sets that lost are as probable as the best of these against the one that won,
@@ -314,14 +316,6 @@ class Decider:
         directions = RULE.directions
         gained = directions / 2 * np.log1p(missed / (beyond + directions))
         return float(gained + RULE.log_prior - RULE.per_number * len(c.index))
-
-
-def _mostly_at_noise(residual: Sequence[np.ndarray]) -> bool:
-    """Whether residuals over the noise are noise but for a few samples: where something touches one
-    step of the simulator later than it did, those that follow are off by far.
-    """
-    squares = np.concatenate([r.ravel() for r in residual]) ** 2
-    return float(np.mean(np.minimum(squares, LIMITS.three_sigma**2))) <= level(squares.size)
 
 
 def _probability(gained: float) -> float:
