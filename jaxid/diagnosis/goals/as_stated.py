@@ -66,6 +66,9 @@ class Alone:
         the data do not tell from it, and a law that ended as another one after all.
         """
         wide, out = self.decider.bench.binding, []
+        for change in found:  # masses, which a fit holds, may be asked too
+            self.own |= {wide.layout.index(self.names[i]) for i in change.index}
+        self.decider.asked = self.own
         least_left = np.inf
         for change in found:
             theta = as_vector(wide, self.names, change.proposal)
