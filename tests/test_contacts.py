@@ -225,3 +225,16 @@ def test_a_leg_hops_as_it_does_in_mujoco(sole):
     assert "sliding_friction@sole" in names
     slippery, _ = rollout(text, data, **{"sliding_friction@sole": 0.1})
     assert np.max(np.abs(slippery - q)) > 1e-3
+
+
+def test_a_slide_has_forces_and_a_hinge_torques():
+    text = LEG.format(shape=SOLES["capsule"], integrator="implicitfast")
+    data, _ = hopping(text)
+    chain = bind(Robot.from_mjcf("leg.xml", text=text), data, splits=False).chain
+    units = dict(chain.torque_channels)
+    assert units == {
+        "torque at along": "N",
+        "torque at up": "N",
+        "torque at hip": "N m",
+        "torque at knee": "N m",
+    }

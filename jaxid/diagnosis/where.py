@@ -172,8 +172,8 @@ def findings(
                 part=spot.part,
                 floor=spot.floor,
                 cause=cause,
-                unit=b.chain.signature.unit("{F}"),
-                position_unit=b.chain.signature.unit("{X}"),
+                unit=b.chain.signature.unit("{F}", j),
+                position_unit=b.chain.signature.unit("{X}", j),
             )
             # Of what is measured no more than noise is no place.
             if place.times_noise >= 1 or joint in given:
@@ -484,9 +484,9 @@ def pictures(
             out.append(
                 MissingForce(
                     joint=joint,
-                    unit=s.unit("{F}"),
-                    q_unit=s.unit("{X}"),
-                    qd_unit=s.unit("{X}/s"),
+                    unit=s.unit("{F}", j),
+                    q_unit=s.unit("{X}", j),
+                    qd_unit=s.unit("{X}/s", j),
                     experiment=m.experiment.name,
                     t=m.experiment.t[m.keep],
                     q=m.q[:, j],

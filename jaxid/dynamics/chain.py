@@ -115,7 +115,8 @@ class Chain(eqx.Module):
         if self.direct and records_torque(self):
             return self.signature.commands
         return tuple(
-            (f"torque at {joint}", self.signature.unit("{F}")) for joint in self.signature.joints
+            (f"torque at {joint}", self.signature.unit("{F}", j))
+            for j, joint in enumerate(self.signature.joints)
         )
 
     @property
