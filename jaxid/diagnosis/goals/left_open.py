@@ -23,7 +23,8 @@ def left_open(bench: ProblemBuilder, h: Hypothesis) -> dict[str, float]:
     if h.path.hessian is None or not p.size:
         return {}
     directions = principal_directions(p, h.path.hessian)
-    near = [np.clip(z + sign * d, p.lower, p.upper) for d in directions.T for sign in (1, -1)]
+    aside = np.concatenate([directions.T, -directions.T])
+    near = [np.clip(z + step, p.lower, p.upper) for step in aside]
     thetas = [p.theta(point) for point in near]
     moved = {"fit": (p, thetas, [p.starts(point) for point in near], p.starts(z))}
     if bench.binding.experiments("validation"):
@@ -33,6 +34,7 @@ def left_open(bench: ProblemBuilder, h: Hypothesis) -> dict[str, float]:
     out = {}
     for split, (problem, numbers, begun, start) in moved.items():
         every = simulated(problem, [h.theta, *numbers], [start, *begun])
-        apart = [np.mean((r - every[0]) ** 2) for r in every[1:]]
-        out[split] = float(np.mean([x for x in apart if np.isfinite(x)] or [0.0]))
+        apart = np.array([np.mean((r - every[0]) ** 2) for r in every[1:]])
+        ended = apart[np.isfinite(apart)]
+        out[split] = float(np.mean(ended)) if ended.size else 0.0
     return out

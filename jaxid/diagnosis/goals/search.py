@@ -245,9 +245,11 @@ class Decider:
     def at_noise(self, h: Hypothesis) -> bool:
         left = {"fit": h.fit_loss, "validation": h.validation.loss}
         allowed = {"fit": level(h.path.count), "validation": level(h.validation.count)}
-        if touches(self.bench.binding) and any(left[split] > allowed[split] for split in left):
-            for split, open_ in left_open(self.bench, h).items():
-                allowed[split] += open_
+        known = np.isfinite(list(left.values())).all()
+        over = any(left[split] > allowed[split] for split in left)
+        if known and over and touches(self.bench.binding):
+            for split, moved in left_open(self.bench, h).items():
+                allowed[split] += moved
         return all(left[split] <= allowed[split] for split in left)
 
     def told_of_losers(self, won: Hypothesis, tried: Sequence[Hypothesis]) -> None:
