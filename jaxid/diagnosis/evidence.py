@@ -83,12 +83,10 @@ def held_out(
     each window's start is fitted, and costs its degrees of freedom.
     """
     if residual is None or residual.free_run:
+        about = known or [None] * len(thetas)
         if touches(bench.binding):
-            about = known or [None] * len(thetas)
             return [_touching(bench, split, *one) for one in zip(thetas, about, strict=True)]
-        return _free(
-            bench, split, thetas, known or [None] * len(thetas), follow or [None] * len(thetas)
-        )
+        return _free(bench, split, thetas, about, follow or [None] * len(thetas))
     return _windows(bench, split, thetas, residual)
 
 

@@ -143,7 +143,7 @@ def _answered(question: DiagnosisQuestion) -> Diagnosis:
     question = replace(question, dataset=looked_at(nominal, question.dataset, library, by))
     if not question.dataset.experiments:
         raise UsageError(NO_RUNS)
-    touches = nominal.mechanism.ground is not None
+    touches = nominal.mechanism.touches
     if touches and (question.residual is not None or not led(nominal)):
         raise UsageError(TOUCHES)
     if isinstance(question.residual, InverseDynamics):

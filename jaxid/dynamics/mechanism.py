@@ -183,6 +183,11 @@ class Mechanism(eqx.Module):
         return u if signature.inputs else jnp.zeros_like(q)
 
     @property
+    def touches(self) -> bool:
+        """Whether contacts are simulated."""
+        return self.ground is not None
+
+    @property
     def own_step(self) -> float | None:
         """The length of step (s) that its simulator is told to take; None: any that is short."""
         return None

@@ -313,7 +313,7 @@ ROUNDS = 12
 
 def touches(binding: Binding) -> bool:
     """Whether contacts are simulated."""
-    return binding.chain.mechanism.ground is not None
+    return binding.chain.mechanism.touches
 
 
 def _begun_touching(bench: ProblemBuilder, split: str, theta: np.ndarray) -> Begun:

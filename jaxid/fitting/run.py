@@ -229,8 +229,8 @@ class _SeedRun:
 
     def _begun(self, bench: ProblemBuilder, problem: FitProblem, guess: np.ndarray) -> np.ndarray:
         """The search vector at a guess of the numbers. Where something touches, a run that begins
-        a little off touches elsewhere, and numbers would be moved for that: how the runs begin is
-        fitted before them.
+        a little off touches elsewhere, and numbers would be moved for that: free runs are fitted
+        over one stretch after the other, of others how they begin is fitted first.
         """
         if not touches(self.binding) or self.residual.torques:
             return problem.z(guess)

@@ -190,7 +190,7 @@ class OutputError(Residual):
                 return replace(record, samples=p[c:b])
 
             records.append(part(run_up(own), len(e), len(e) - len(own)))
-            heads.append(nested_heads(e, own, part, layout.chain.mechanism.ground is not None))
+            heads.append(nested_heads(e, own, part, layout.chain.mechanism.touches))
         lanes = [*records]
         ends = [len(lanes)]
         for own in heads:

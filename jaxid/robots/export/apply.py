@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -91,7 +92,7 @@ def _numbers(sheet: Sheet, found: ExportOutcome, done: set[str]) -> None:
         elif tree is not None and field in BODY and place in tree.links:
             links.setdefault(place, numbers_of(tree, place))[field] = number.value
         elif tree is not None and field == GROUND:
-            _on_the_ground(sheet, place, number)
+            _record(sheet, number, effect=GROUND, location=place, quantity=GROUND, place=place)
         elif not (tree is not None and field in ("base_roll", "base_pitch")):
             _plain_number(sheet, name, number)
     for link, numbers in links.items():
@@ -99,15 +100,24 @@ def _numbers(sheet: Sheet, found: ExportOutcome, done: set[str]) -> None:
     _base(sheet, found)
 
 
-def _on_the_ground(sheet: Sheet, shape: str, number: Number) -> None:
-    """The friction of a shape on the planes that it touches."""
+def _record(
+    sheet: Sheet,
+    number: Number,
+    *,
+    effect: str,
+    location: str = "",
+    quantity: str = "",
+    place: str = "",
+    before: Any = None,
+) -> None:
+    """Notes what a number changes, as it stands."""
     change = RobotChange(
-        effect=GROUND,
-        location=shape,
-        quantity=GROUND,
-        place=shape,
+        effect=effect,
+        location=location,
+        quantity=quantity,
+        place=place,
         value=number.value,
-        before=None,
+        before=before,
         unit=number.unit,
         note=number.doubt,
     )
@@ -128,35 +138,28 @@ def _body_numbers(
         sheet.bodies[link] = body_before(tree, link), from_numbers(dict(numbers))
     was = numbers_of(tree, link)
     for field, number in own.items():
-        change = RobotChange(
+        _record(
+            sheet,
+            number,
             effect=field,
             location=link,
             quantity="inertial",
             place=link,
-            value=number.value,
             before=was[field],
-            unit=number.unit,
-            note=number.doubt,
         )
-        sheet.record([change])
 
 
 def _joint_number(sheet: Sheet, effect: str, joint: str, quantity: str, number: Number) -> None:
     before = getattr(sheet.after[joint], quantity)
     sheet.set(joint, **{quantity: number.value})
-    sheet.record(
-        [
-            RobotChange(
-                effect=effect,
-                location=joint,
-                quantity=quantity,
-                place=joint,
-                value=number.value,
-                before=before,
-                unit=number.unit,
-                note=number.doubt,
-            )
-        ]
+    _record(
+        sheet,
+        number,
+        effect=effect,
+        location=joint,
+        quantity=quantity,
+        place=joint,
+        before=before,
     )
 
 
@@ -172,20 +175,7 @@ def _plain_number(sheet: Sheet, name: str, number: Number) -> None:
     elif stem == "offset" and place < len(joints):
         _torque(sheet, name, joints[place], joints[place], number)
     else:
-        sheet.record(
-            [
-                RobotChange(
-                    effect=name,
-                    location="",
-                    quantity="",
-                    place="",
-                    value=number.value,
-                    before=None,
-                    unit=number.unit,
-                    note=number.doubt,
-                )
-            ]
-        )
+        _record(sheet, number, effect=name)
 
 
 def _torque(sheet: Sheet, effect: str, location: str, joint: str, number: Number) -> None:
