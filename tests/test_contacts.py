@@ -11,11 +11,13 @@ import pytest
 import jaxid
 from jaxid.data.dataset import ModelSpec
 from jaxid.fitting.problem_builder import ProblemBuilder
+from jaxid.fitting.replay import in_mujoco
 from jaxid.models import Robot
 from jaxid.problem.binding import bind
 from jaxid.problem.residual import OutputError
 from jaxid.robots.contacts import GUARD
 from jaxid.robots.match import prepared
+from jaxid.robots.mjcf import read_mjcf
 
 
 mujoco: Any = importlib.import_module("mujoco")  # its names are made when it loads
@@ -225,6 +227,19 @@ def test_a_leg_hops_as_it_does_in_mujoco(sole):
     assert "sliding_friction@sole" in names
     slippery, _ = rollout(text, data, **{"sliding_friction@sole": 0.1})
     assert np.max(np.abs(slippery - q)) > 1e-3
+
+
+def test_a_replay_lets_joints_without_an_actuator_move_on_the_ground(tmp_path):
+    text = LEG.format(shape=SOLES["capsule"], integrator="implicitfast")
+    path = tmp_path / "leg.xml"
+    path.write_text(text)
+    recorded, q = hopping(text)
+    data = prepared(Robot.from_mjcf(path), recorded)[1]
+    start = np.concatenate([q[0], np.zeros(4)])
+    notes: list[str] = []
+    (found,) = in_mujoco(data, path, read_mjcf(path), None, [start], notes)
+    np.testing.assert_allclose(found, q, rtol=0, atol=1e-12)
+    assert any("driven by the position actuators" in note for note in notes)
 
 
 def test_a_slide_has_forces_and_a_hinge_torques():

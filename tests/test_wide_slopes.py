@@ -27,7 +27,6 @@ def problem(lower: float = -5.0, upper: float = 5.0, size: int = 2) -> Any:
         lower=np.full(size, lower),
         upper=np.full(size, upper),
         known_before=lambda z: (np.zeros(0), np.zeros((0, size))),
-        steps=lambda z: {1: np.full(size, 1e-6)},
     )
 
 

@@ -23,6 +23,7 @@ from jaxid.robots.drives import DriveLaw, stated_law
 from jaxid.robots.export.law_code import own_number
 from jaxid.robots.export.run import read_tree
 from jaxid.robots.export.save import ROWS, source_of
+from jaxid.robots.free_joints import free_joints
 from jaxid.robots.match import driving, named, recorded
 from jaxid.robots.origin import digest
 from jaxid.robots.tree import rotation, Tree
@@ -217,7 +218,7 @@ def _content(source: _Source, data: Dataset, joints: tuple[str, ...]) -> dict[st
     return {"parameters": {**zero, **result.get("parameters", {})}, "effects": effects}
 
 
-def _own_actuators(tree: Tree, joints: tuple[str, ...]) -> bool:
+def _own_actuators(tree: Tree, joints: Sequence[str]) -> bool:
     return all(j in tree.actuators and tree.actuators[j].kind == "position" for j in joints)
 
 
@@ -252,7 +253,9 @@ def in_mujoco(
     inputs = data.input_names
     kind = _driven_by(data, joints, path)
     law = None
-    if kind == "goal" and not _own_actuators(tree, joints):
+    still = free_joints(tree, data)
+    driven = [joint for joint in joints if joint not in still]
+    if kind == "goal" and not _own_actuators(tree, driven):
         law = _law(data, joints, source, path)
         notes.append(
             f"{path.name} has no position actuators for these joints: the law of [controller]"

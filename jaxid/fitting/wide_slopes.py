@@ -25,6 +25,8 @@ DAMPED = (0.0, 0.03, 0.3, 3.0, 30.0)
 SHARES, SCATTERED = (1.0, 0.5, 0.25), 8
 #: Width of the scatter, as a share of that of the differences.
 SCATTER = 0.3
+#: Step of the first differences, in typical changes of a number.
+TINY = 1e-6
 #: A round that gains less than this share is of no account.
 SLIGHT = 1e-3
 
@@ -109,7 +111,9 @@ class WideDescent:
 
     def _curvature_here(self) -> np.ndarray:
         """By differences over tiny steps, before any others are known."""
-        h = self.problem.steps(self.z)[1]
+        p = self.problem
+        h = TINY * p.scale
+        h = np.where(self.z + h <= p.upper, h, -h)
         ahead = self._residuals([self.z + step for step in np.diag(h)])
         slopes = np.zeros((self.r.size, self.problem.size))
         for k, r in enumerate(ahead):
