@@ -44,7 +44,7 @@ def bench() -> Any:
         joints=JOINTS,
         outputs=(("a", "rad"), ("b", "rad")),
         output_names=("a", "b"),
-        unit=lambda _: "N m",
+        unit=lambda _pattern, _joint: "N m",
     )
     return SimpleNamespace(binding=SimpleNamespace(chain=SimpleNamespace(signature=signature)))
 
