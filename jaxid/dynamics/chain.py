@@ -336,10 +336,13 @@ class Chain(eqx.Module):
         if n < whole.u.shape[0]:
             s = s._replace(command=first_command(whole, n), beside=beside)
         for i, e in self.at(InputEffect):
-            if self.signature.rates and (late := e.late()) is not None:
+            late = e.late()
+            if self.signature.rates and late is not None:
                 still = jnp.zeros(beside.shape[0] - self.signature.rates)
                 s = s._replace(beside=whole.delayed(jnp.concatenate([late, late, still]))[n:])
             u, z_new[i] = e(u, s._replace(q=s.q + self._off()) if e.reads_encoders else s, z[i])
+            if late is not None:
+                s = s._replace(command=s.command.behind(late))
         return (jnp.concatenate([u, beside]) if n < whole.u.shape[0] else u), tuple(z_new)
 
     def friction(self, s: Signals, z: tuple) -> tuple[Array, Array, Array, tuple]:
