@@ -141,11 +141,9 @@ class Chain(eqx.Module):
         """
         if self.mechanism.behind_law(effect):
             return self.places(effect)[: self.nq]
-        return (
-            self.places(effect)
-            if effect.offered is None
-            else effect.offered(self.mechanism, self.signature)
-        )
+        if effect.offered is None:
+            return self.places(effect)
+        return effect.offered(self.mechanism, self.signature)
 
     @property
     def contents(self) -> set[str]:
@@ -293,12 +291,11 @@ class Chain(eqx.Module):
     def sensed_anew(self, z: tuple, fresh: tuple, here: Array) -> tuple:
         """States z, with those of the sensors as in `fresh` where `here`."""
 
-        def anew(a, b):
-            return jax.tree.map(lambda a, b: jnp.where(here, a, b), a, b)
-
         states = []
         for effect, new, old in zip(self.effects, fresh, z, strict=True):
-            states.append(anew(new, old) if isinstance(effect, OutputEffect) else old)
+            if isinstance(effect, OutputEffect):
+                old = jax.tree.map(lambda a, b: jnp.where(here, a, b), new, old)
+            states.append(old)
         return tuple(states)
 
     def begins(
