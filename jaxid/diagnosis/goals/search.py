@@ -268,8 +268,11 @@ class Decider:
 
     def rivals(self, chosen: Hypothesis, tried: Sequence[Hypothesis]) -> list[Candidate]:
         """Effects of other sets that are possible in the place of those that are chosen."""
-        found = dict.fromkeys(c for h in tried for c in h.effects if c not in chosen.effects)
-        return [c for c in found if self.sure.get((c.effect, c.location), 0.0) >= RULE.possible]
+        every: dict[Candidate, None] = {}
+        for h in tried:
+            every |= dict.fromkeys(h.effects)
+        others = [c for c in every if c not in chosen.effects]
+        return [c for c in others if self.sure.get((c.effect, c.location), 0.0) >= RULE.possible]
 
     def claimed(self, c: Candidate, rivals: Sequence[Candidate]) -> bool:
         """Whether an effect or one of its rivals at its place is as probable as a claim has to
