@@ -258,15 +258,18 @@ def _together(
     row = rows[0]
     told = map(int, np.flatnonzero(np.isfinite(stated)))
     kept = [i for i in told if i not in change.refuted and i != m]
-    if rows[0].unit != rows[1].unit and 0.0 in (stated[k], stated[m]):
-        return _either(rows, called, at, kept, known, stated, change)
     value, covariance, _ = known.beside(kept, stated[kept])
     pair = np.ix_([k, m], [k, m])
     form = min(
         _forms(value[[k, m]], stated[[k, m]], rows[0].unit == rows[1].unit),
         key=lambda f: float(f.slope @ covariance[pair] @ f.slope) / max(f.value**2, 1e-300),
+        default=None,
     )
+    if form is None:
+        return _either(rows, called, at, kept, known, stated, change)
     std = float(np.sqrt(max(form.slope @ covariance[pair] @ form.slope, 0.0)))
+    if abs(form.value - form.stated) <= REFUTED * std:
+        return _either(rows, called, at, kept, known, stated, change)
     deviation = change.deviation[k]
     name = f"{called[0]} {form.sign} {called[1]}"
     only = f"the data tell only the {form.name}, not which of the two differs"
@@ -306,8 +309,8 @@ def _either(
     stated: np.ndarray,
     change: SmallestChange,
 ) -> StatedNumber:
-    """Two numbers of which either may be wrong, where one of them is stated as 0: what each would be
-    with the other as stated.
+    """Two numbers of which either may be wrong, where the data do not tell what both come to: what
+    each would be with the other as stated.
     """
     k, m = at
     beside_m, spread_m, _ = known.beside([*kept, m], stated[[*kept, m]])
