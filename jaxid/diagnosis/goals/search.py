@@ -245,8 +245,9 @@ class Decider:
             return search
         belief = search.belief.at_the_noise(self.sure)
         possible = {place[:2] for place in belief.possible(RULE.possible)}
-        family = {(effect, f.location) for f in belief.families for effect in f.effects}
-        alike = [c for c in search.confusable if (c.effect, c.location) in possible | family]
+        for family in belief.families:
+            possible |= {(effect, family.location) for effect in family.effects}
+        alike = [c for c in search.confusable if (c.effect, c.location) in possible]
         return replace(search, belief=belief, confusable=alike)
 
     def certain(self, effects: Sequence[Candidate]) -> dict[tuple[str, str], float]:
