@@ -156,7 +156,7 @@ def test_what_simulations_take_back_is_no_more_probable_than_they_make_it():
     assert columns.at_most(judged).places == places
 
 
-def test_an_effect_of_sets_that_lost_is_as_probable_as_the_best_of_them(monkeypatch):
+def test_effects_of_sets_that_were_simulated_share_their_probability(monkeypatch):
     def gained(_: Decider, before: Any, after: Any) -> float:
         return after.worth - before.worth
 
@@ -166,9 +166,26 @@ def test_an_effect_of_sets_that_lost_is_as_probable_as_the_best_of_them(monkeypa
     monkeypatch.setattr(Decider, "gained", gained)
     decider = Decider(cast(Any, None), ())
     won = found(0.0, LAG)
-    decider.told_of_losers(
-        won, [won, found(-9.0, DELAY), found(-2.0, LAG, DELAY), found(np.nan, DRAG)]
-    )
-    assert set(decider.sure) == {("input_delay", "tau"), ("quadratic_drag", "q")}
-    assert decider.sure["input_delay", "tau"] == pytest.approx(1 / (1 + np.exp(2.0)))
+    both = found(-2.0, LAG, DELAY)
+    decider.compared(won, [won, found(-9.0, DELAY), both, found(np.nan, DRAG)])
+    odds = np.exp(-2.0) + np.exp(-9.0)
+    assert decider.sure["input_delay", "tau"] == pytest.approx(odds / (1 + odds))
+    assert decider.sure["actuator_lag", "tau"] == pytest.approx(1 / (1 + np.exp(-9.0)), rel=2e-5)
     assert decider.sure["quadratic_drag", "q"] < 1e-9
+
+
+def test_of_two_that_leave_as_much_at_one_place_either_may_be_claimed(monkeypatch):
+    """Neither has what a claim needs; one of both is there. At two places nothing is claimed."""
+
+    def even(_: Decider, before: Any, after: Any) -> float:
+        return 0.0
+
+    monkeypatch.setattr(Decider, "gained", even)
+    for other, claimed in ((DELAY, True), (DRAG, False)):
+        decider = Decider(cast(Any, None), ())
+        won = cast(Any, SimpleNamespace(effects=(LAG,)))
+        lost = cast(Any, SimpleNamespace(effects=(other,)))
+        decider.compared(won, [won, lost])
+        rivals = decider.rivals(won, [won, lost])
+        assert rivals == [other] and decider.sure["actuator_lag", "tau"] == pytest.approx(0.5)
+        assert decider.claimed(LAG, rivals) is claimed
