@@ -156,6 +156,24 @@ def test_what_simulations_take_back_is_no_more_probable_than_they_make_it():
     assert columns.at_most(judged).places == places
 
 
+def test_at_the_noise_only_what_acts_in_the_place_of_what_is_named_is_left():
+    """Columns of a loose arm made two loads and a lag possible that the simulation did not miss."""
+    bias, tilt, load = ("sensor_bias", "j1"), ("gravity_offset", "j1"), ("payload", "j3")
+    law = FreeLaw("j2", "speed", 0.4)
+    columns = Belief(
+        {bias: 0.501, tilt: 0.499, load: 0.31},
+        probability=0.99,
+        free_law=law,
+        none=0.0,
+        rivals={tilt: 0.498, load: 0.02},
+    )
+    found = columns.at_the_noise({bias})
+    assert found.places == {bias: 0.501, tilt: 0.498, load: 0.02}
+    assert found.free_law is None and found.none == 0.0
+    nothing = Belief({load: 0.999}, none=0.001).at_the_noise({})
+    assert nothing.places == {} and nothing.none == 1.0
+
+
 def test_effects_of_sets_that_were_simulated_share_their_probability(monkeypatch):
     def gained(_: Decider, before: Any, after: Any) -> float:
         return after.worth - before.worth

@@ -246,6 +246,19 @@ class Decider:
         self.asked = frozenset()
         return search
 
+    def believed(self, search: SearchResult) -> SearchResult:
+        """What columns told of effects beside what was chosen is refuted where that is at the
+        noise.
+        """
+        if search.belief is None or not self.at_noise(search.chosen):
+            return search
+        belief = search.belief.at_the_noise(self.sure)
+        possible = {place[:2] for place in belief.possible(RULE.possible)}
+        for family in belief.families:
+            possible |= {(effect, family.location) for effect in family.effects}
+        alike = [c for c in search.confusable if (c.effect, c.location) in possible]
+        return replace(search, belief=belief, confusable=alike)
+
     def certain(self, effects: Sequence[Candidate]) -> dict[tuple[str, str], float]:
         """How probable simulations make each of some effects."""
         places = [(c.effect, c.location) for c in effects]
