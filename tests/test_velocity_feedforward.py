@@ -7,6 +7,10 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid.conventions.checking import _confirmed
+from jaxid.conventions.finding import DataFinding
+from jaxid.conventions.mending import Mending
+from jaxid.conventions.samples import Shown
 from jaxid.dynamics.parameter import with_fields
 from jaxid.fitting.simulate import simulate_dataset
 from jaxid.models import Joint, Robot
@@ -115,9 +119,31 @@ def test_its_response_leads_in_phase():
     np.testing.assert_allclose(found[0][:, 0] + 1j * found[1][:, 0], 1 + 1j * omega * LEAD)
 
 
+def test_a_goal_that_seems_late_may_be_followed_by_its_rate():
+    """The simulations of a check are told here, as its own would be."""
+    binding = bind(robot(), recorded(0.0, seconds=1.0))
+    late = DataFinding("row_shift", "lift_cmd", 2.0, "lift moves before lift_cmd.", decisive=True)
+    shown = Shown(late, Mending({"lift_cmd": {"shift": 2.0}}))
+
+    def gap(led):
+        def left(_binding, data, effects):
+            if "velocity_feedforward@lift_cmd" in effects:
+                return led
+            return 271.0 if data is binding.dataset else 29.0
+
+        return left
+
+    (asked,) = _confirmed(binding, binding.dataset, shown.mending, [shown], gap(1.03))
+    assert not asked.finding.decisive and not asked.mending
+    assert ("velocity_feedforward", "lift_cmd") in asked.finding.same_as
+    (kept,) = _confirmed(binding, binding.dataset, shown.mending, [shown], gap(150.0))
+    assert kept.finding.decisive and kept.mending
+
+
 @pytest.mark.slow
 def test_a_law_that_brakes_the_goals_rate_is_named():
     found = jaxid.diagnose(robot(), recorded(LEAD))
+    assert not any(finding.applied for finding in found.data)
     assert found.which.verdict == "named"
     (effect,) = found.which.effects
     assert (effect.effect, effect.location) == ("velocity_feedforward", "lift_cmd")

@@ -26,6 +26,7 @@ from jaxid.conventions.decide import judged
 from jaxid.conventions.finding import Checked, DataFinding
 from jaxid.conventions.late_speed import late_speeds
 from jaxid.conventions.law import is_open, law_reading, OTHER, read_as
+from jaxid.conventions.leading import before_its_goal, or_led
 from jaxid.conventions.limits import ALIKE, GONE
 from jaxid.conventions.mending import mended, Mending
 from jaxid.conventions.missing_force import LAWS, LONGEST, measured, NEIGHBOURS
@@ -39,6 +40,7 @@ from jaxid.data.noise import noise_floor
 from jaxid.data.repeats import one_way_sentences
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.model_file import sha256_of
+from jaxid.models.effects import VelocityFeedforward
 from jaxid.problem.binding import bind, Binding
 from jaxid.robots.floating import wanted
 from jaxid.robots.limbs import limbs_of
@@ -328,10 +330,15 @@ def _confirmed(
     if _nothing_to_mend(before, after):
         return [s for s in shown if not s.mending]
     held = after <= GONE * before
+    leads = _leads(binding, shown)
+    led = gap(binding, data, (*laws, *leads)) if leads and held else None
     out = []
     for s in shown:
         if not s.mending:
             out.append(s)
+            continue
+        if led is not None and after > GONE * led and before_its_goal(binding, s.finding):
+            out.append(Shown(or_led(s.finding, before, after, led), Mending()))
             continue
         said = (
             ""
@@ -354,6 +361,12 @@ def _confirmed(
         )
         out.append(Shown(finding, s.mending if held else Mending()))
     return out
+
+
+def _leads(binding: Binding, shown: Iterable[Shown]) -> list[str]:
+    """The effects that look like goals which are recorded late, where those are found."""
+    late = [s.finding for s in shown if s.mending and before_its_goal(binding, s.finding)]
+    return [f"{VelocityFeedforward.name}@{finding.channel}" for finding in late]
 
 
 def _nothing_to_mend(before: float, after: float) -> bool:
