@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from math import pi
 
 import numpy as np
 
-from jaxid.base.wording import listed, number
 from jaxid.conventions.equal_scales import (
     far,
     Judged,
@@ -18,8 +16,9 @@ from jaxid.conventions.equal_scales import (
 )
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import ALIKE, ASKED, FLOOR, GONE, MISFIT, TOLD, WHOLE
-from jaxid.conventions.mending import exchange_lines, lines, Mending
+from jaxid.conventions.mending import Mending
 from jaxid.conventions.missing_force import ForceFit, ReadingFit
+from jaxid.conventions.reading_words import doubt_of, headline, mending_lines, sentence
 from jaxid.conventions.readings import (
     exchanges,
     FREE,
@@ -208,21 +207,21 @@ def _claimed(
         kind=best.reading.kind,
         channel=best.reading.channels[0],
         value=value,
-        text=_words(
+        text=sentence(
             best.reading,
             value,
             what,
             (before, left.worst + FLOOR),
-            _doubt(beyond, bool(others), unnamed),
+            doubt_of(beyond, bool(others), unnamed),
             laws,
         ),
-        line=_line(binding, best.reading, mending),
+        line=mending_lines(binding, best.reading, mending),
         interval_95=interval,
         gap_before=recorded.worst / noise,
         gap_if_mended=left.worst / noise,
         decisive=decisive,
         same_as=alike,
-        headline=_headline(best.reading, value, binding, what),
+        headline=headline(best.reading, value, binding, what),
     )
     return Shown(finding, mending if decisive else Mending(), laws), (
         change(m) if decisive else None
@@ -391,66 +390,3 @@ def _scaled(reading: Reading, names: Names) -> Callable[[SampledMotion], Sampled
     again = refinement(reading, names)
     assert again is not None
     return lambda m: again[0](m, np.zeros(1))
-
-
-def _line(binding: Binding, reading: Reading, mending: Mending) -> str:
-    if reading.kind == "swapped_channels":
-        return exchange_lines(binding.dataset, *reading.channels)
-    told = {c: lines(binding.dataset, c, mending.forms[c]) for c in reading.channels}
-    if len(told) == 1:
-        return "".join(told.values())
-    return "\n".join(f"{line}  # of {c}" for c, line in told.items())
-
-
-def _headline(reading: Reading, value: float, binding: Binding, what: str) -> str:
-    name = listed(reading.channels)
-    if reading.kind == "sign":
-        verb = "have" if len(reading.channels) > 1 else "has"
-        it = "them" if len(reading.channels) > 1 else "it"
-        return f"{name} {verb} the opposite sign; everything below takes {it} negated"
-    if reading.kind == "swapped_channels":
-        return f"{name} are exchanged; everything below takes each for the other"
-    if reading.kind == "zero":
-        return f"the zero of {name} is off by {_angle(value)}; everything below takes that away"
-    too = f"{_are(reading)} {value:.5g} times too large ({what})"
-    return f"{name} {too}; everything below divides by that"
-
-
-def _are(reading: Reading) -> str:
-    """The verb of its channels."""
-    return "are" if len(reading.channels) > 1 else "is"
-
-
-def _angle(value: float) -> str:
-    return f"{value:.4f} rad ({np.degrees(value):.4g} deg)"
-
-
-def _words(
-    reading: Reading, value: float, what: str, gap: tuple[float, float], doubt: str, laws: bool
-) -> str:
-    name = listed(reading.channels)
-    model = "the model, beside any friction and spring that it may lack," if laws else "the model"
-    before, after = (number(100 * share, 2) for share in gap)
-    of = f"{model} leaves {before} % of the drive as recorded and {after} % so"
-    if reading.kind == "sign":
-        said = f"{name} seem{'s' * (len(reading.channels) == 1)} to count the other way"
-    elif reading.kind == "swapped_channels":
-        said = f"{name} seem to be exchanged"
-    elif reading.kind == "zero":
-        turns = (
-            f", {abs(value) / (pi / 2):.0f} quarter turn{'s' * (abs(value) > 2)}"
-            if "quarter" in what
-            else ""
-        )
-        said = f"{name} reads {_angle(value)} where its zero should be{turns}"
-    else:
-        said = f"{name} {_are(reading)} recorded {value:.5g} times as large as in truth ({what})"
-    return f"Is it that {said}? {of[0].upper()}{of[1:]}; {doubt}." if doubt else f"{said}: {of}."
-
-
-def _doubt(beyond: bool, others: bool, unnamed: bool) -> str:
-    if not beyond:
-        return "friction or a spring that the model lacks explains as much"
-    if others:
-        return "other readings come near"
-    return "stated numbers of the model that are off as well may be part of it" if unnamed else ""
