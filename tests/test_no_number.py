@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jaxid.conventions import decide
-from jaxid.conventions.tried_readings import Asked
+from jaxid.conventions.tried_readings import ReadingQuestion
 from jaxid.diagnosis import where
 from jaxid.diagnosis.budget import budget, closed
 from jaxid.diagnosis.goals.as_stated import Alone
@@ -338,7 +338,7 @@ def test_no_reading_is_claimed_by_what_is_no_number(bad):
 
     for worst, noise in ((bad, 0.01), (0.5, bad)):
         fit: Any = SimpleNamespace(least_noise=lambda *a, n=noise: n, driven=True)
-        asked = Asked(
+        asked = ReadingQuestion(
             binding=cast(Any, None),
             fit=fit,
             m=cast(Any, None),

@@ -26,7 +26,13 @@ from jaxid.conventions.readings import (
 )
 from jaxid.conventions.samples import Shown
 from jaxid.conventions.timing import timed, whole_rows_tell
-from jaxid.conventions.tried_readings import all_tried, Asked, Ranked, ranked, unexplained
+from jaxid.conventions.tried_readings import (
+    all_tried,
+    ranked,
+    RankedReadings,
+    ReadingQuestion,
+    unexplained,
+)
 from jaxid.conventions.unsigned import unsigned
 from jaxid.force.columns import FEW
 from jaxid.force.sampled_motion import SampledMotion
@@ -74,7 +80,7 @@ def _next(
     nothing explains of the whole is asked of what they leave.
     """
     plain, beside = fit.fit(m, False), fit.fit(m, True)
-    asked = Asked(
+    asked = ReadingQuestion(
         binding=binding,
         fit=fit,
         m=m,
@@ -94,7 +100,7 @@ def _next(
     return found or (None, None)
 
 
-def _claimed(asked: Asked) -> tuple[Shown, SampledMotion | None] | None:
+def _claimed(asked: ReadingQuestion) -> tuple[Shown, SampledMotion | None] | None:
     """What a reading explains of what is left of the motion."""
     if not unexplained(asked):
         return None
@@ -138,7 +144,7 @@ def _claimed(asked: Asked) -> tuple[Shown, SampledMotion | None] | None:
     return shown, changed if shown.finding.decisive else None
 
 
-def _closes(asked: Asked, best: Judged, left: ReadingFit, stated_off: bool) -> bool:
+def _closes(asked: ReadingQuestion, best: Judged, left: ReadingFit, stated_off: bool) -> bool:
     """Whether a reading, with its known value too, closes the gap. Beside any law it has to be the
     whole answer: what has another cause goes some way by many a reading. It has to show in what is
     fitted, too: held-out motion alone tells how laws that the model lacks extrapolate. What leaves
@@ -156,7 +162,12 @@ def _closes(asked: Asked, best: Judged, left: ReadingFit, stated_off: bool) -> b
 
 
 def _shown(
-    asked: Asked, found: Ranked, size: Size, left: ReadingFit, doubt: str, others: bool
+    asked: ReadingQuestion,
+    found: RankedReadings,
+    size: Size,
+    left: ReadingFit,
+    doubt: str,
+    others: bool,
 ) -> Shown:
     """The finding; decisive where nothing is doubtful."""
     reading = found.best.reading

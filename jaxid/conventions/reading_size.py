@@ -19,7 +19,7 @@ from jaxid.conventions.readings import (
     refinement,
     unmistakable,
 )
-from jaxid.conventions.tried_readings import Asked, Ranked, tried_readings
+from jaxid.conventions.tried_readings import RankedReadings, ReadingQuestion, tried_readings
 from jaxid.force.sampled_motion import SampledMotion
 
 
@@ -38,7 +38,7 @@ class Size(NamedTuple):
     conventional: bool = True
 
 
-def size_of(asked: Asked, ranked: Ranked) -> Size:
+def size_of(asked: ReadingQuestion, ranked: RankedReadings) -> Size:
     """The size of the best reading. Beside what the model lacks many sizes are alike; less what
     laws take, one is not.
     """
@@ -55,7 +55,7 @@ def size_of(asked: Asked, ranked: Ranked) -> Size:
     return _refined(replace(asked, laws=True), own[0], near_own)
 
 
-def known_beside(asked: Asked, best: Judged, size: Size) -> Size | None:
+def known_beside(asked: ReadingQuestion, best: Judged, size: Size) -> Size | None:
     """A known factor next to a fitted one, of which stated numbers that are off take the rest; None
     where there is none that takes most of the gap by itself.
     """
@@ -81,7 +81,7 @@ class Fitted(NamedTuple):
     left: float
 
 
-def _fitted(asked: Asked, best: Judged) -> Fitted:
+def _fitted(asked: ReadingQuestion, best: Judged) -> Fitted:
     """The size at which a reading leaves the least."""
     fit = asked.fit
     refined = refinement(best.reading, asked.names)
@@ -99,7 +99,7 @@ def _fitted(asked: Asked, best: Judged) -> Fitted:
     return Fitted(size(x), std, interval, found.worst + FLOOR)
 
 
-def _refined(asked: Asked, best: Judged, near: list[Judged]) -> Size:
+def _refined(asked: ReadingQuestion, best: Judged, near: list[Judged]) -> Size:
     """The size of a reading that has one. A known factor is one where it leaves as little as any
     other and none of those that come `near` is far from it.
     """
@@ -109,7 +109,7 @@ def _refined(asked: Asked, best: Judged, near: list[Judged]) -> Size:
     return _scale(asked, best, near, fitted)
 
 
-def _zero(asked: Asked, best: Judged, fitted: Fitted) -> Size:
+def _zero(asked: ReadingQuestion, best: Judged, fitted: Fitted) -> Size:
     j = asked.names.joints.index(best.reading.channels[0])
     travel = float(np.ptp(asked.m.q[:, j]))
     own = nearest_convention("zero", {}, fitted.value, fitted.std, travel)
@@ -119,7 +119,7 @@ def _zero(asked: Asked, best: Judged, fitted: Fitted) -> Size:
     return Size(value, fitted.interval, what, lambda m: offset_joint(m, j, -value))
 
 
-def _scale(asked: Asked, best: Judged, near: list[Judged], fitted: Fitted) -> Size:
+def _scale(asked: ReadingQuestion, best: Judged, near: list[Judged], fitted: Fitted) -> Size:
     names, reading = asked.names, best.reading
     known = names.factors(reading.channels[0])
     fitted = _at_a_known_factor(asked, best, fitted, known)
@@ -146,7 +146,7 @@ def _scale(asked: Asked, best: Judged, near: list[Judged], fitted: Fitted) -> Si
 
 
 def _at_a_known_factor(
-    asked: Asked, best: Judged, fitted: Fitted, known: Mapping[str, float]
+    asked: ReadingQuestion, best: Judged, fitted: Fitted, known: Mapping[str, float]
 ) -> Fitted:
     """At the known factor that was tried, where that is all of the answer and no other size leaves
     less; else as it is.
@@ -162,7 +162,7 @@ def _at_a_known_factor(
     return fitted._replace(value=own, interval=interval)
 
 
-def _as_little(asked: Asked, change: Change, fitted: Fitted) -> bool:
+def _as_little(asked: ReadingQuestion, change: Change, fitted: Fitted) -> bool:
     """Whether a known factor leaves as little as the fitted one."""
     left = asked.fit.fit(change(asked.m), asked.laws).worst + FLOOR
     return left <= ALIKE * fitted.left

@@ -35,7 +35,7 @@ _POOL = Pool("readings")
 
 
 @dataclass(frozen=True)
-class Asked:
+class ReadingQuestion:
     """A motion of which a reading may explain what is left: `recorded` is what the model leaves of
     it, beside laws of the joints' own motion where `laws`, and `beside` what it leaves beside them.
     """
@@ -65,7 +65,7 @@ class Asked:
         return self.m.thinned(FEW) if self.many else self.m
 
 
-class Ranked(NamedTuple):
+class RankedReadings(NamedTuple):
     """The best reading, the equal ones of its kind, and all that come near."""
 
     best: Judged
@@ -79,7 +79,7 @@ class Ranked(NamedTuple):
         return any(t.reading.channels != channels for t in self.same)
 
 
-def unexplained(asked: Asked) -> bool:
+def unexplained(asked: ReadingQuestion) -> bool:
     """Whether more is left than rounding and noise leave."""
     before = asked.before
     if not np.isfinite(before) or before <= 2 * FLOOR:
@@ -88,7 +88,7 @@ def unexplained(asked: Asked) -> bool:
     return before > ALIKE * (noise + FLOOR)
 
 
-def all_tried(asked: Asked) -> list[Judged]:
+def all_tried(asked: ReadingQuestion) -> list[Judged]:
     """What readings leave, the least first, up to those that leave next to nothing."""
     tried: list[Judged] = []
     for readings, size in _readings(asked.names, asked.fit.driven):
@@ -102,7 +102,7 @@ def all_tried(asked: Asked) -> list[Judged]:
     return [t for t in tried if np.isfinite(t.left)]
 
 
-def _of_a_size(asked: Asked, readings: list[Reading]) -> list[Judged]:
+def _of_a_size(asked: ReadingQuestion, readings: list[Reading]) -> list[Judged]:
     """Those of a size that may be any: at values that it is looked for at, of which the nearest may
     be some way from it, and at the best one.
     """
@@ -111,11 +111,11 @@ def _of_a_size(asked: Asked, readings: list[Reading]) -> list[Judged]:
     return sorted([*own, *sized], key=_left)
 
 
-def _on_few(asked: Asked, readings: list[Reading], hopeless: float) -> list[Judged]:
+def _on_few(asked: ReadingQuestion, readings: list[Reading], hopeless: float) -> list[Judged]:
     return tried_readings(asked.fit, asked.few, readings, hopeless, asked.laws)
 
 
-def _on_all(asked: Asked, own: list[Judged]) -> list[Judged]:
+def _on_all(asked: ReadingQuestion, own: list[Judged]) -> list[Judged]:
     """On all samples those that may come out on top."""
     again = [t.reading for t in own if t.left <= min(ALIKE**2 * own[0].left, asked.hopeless)]
     return tried_readings(asked.fit, asked.m, again, asked.hopeless, asked.laws)
@@ -125,7 +125,7 @@ def _left(judged: Judged) -> float:
     return judged.left
 
 
-def ranked(asked: Asked, tried: list[Judged]) -> Ranked:
+def ranked(asked: ReadingQuestion, tried: list[Judged]) -> RankedReadings:
     """The best of those tried, of equals that which leaves the model's numbers as stated."""
     fit, names = asked.fit, asked.names
     best = tried[0]
@@ -138,7 +138,7 @@ def ranked(asked: Asked, tried: list[Judged]) -> Ranked:
         best, *same = likeliest_scales(fit, names, [best, *same])
     near = [t for t in tried if t is not best and t.left <= most]
     near = [t for t in near if not refuted_beside(fit, best, t)]
-    return Ranked(best, same, near)
+    return RankedReadings(best, same, near)
 
 
 def _nearest_stated(fit: ForceFit, names: Names, equals: list[Judged]) -> list[Judged]:

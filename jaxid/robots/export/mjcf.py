@@ -16,7 +16,7 @@ from jaxid.base.errors import UsageError
 from jaxid.base.wording import listed
 from jaxid.robots.export.law_code import code, lawful
 from jaxid.robots.export.mjcf_code import callback, Op, snippet, spec_code
-from jaxid.robots.export.mjcf_drive import DriveWords, ENDLESS, HISTORY, OF_LAW
+from jaxid.robots.export.mjcf_drive import attribute_of, DriveWords, ENDLESS, HISTORY, OF_LAW
 from jaxid.robots.export.mjcf_file import compiled, MjcfFile
 from jaxid.robots.export.mjcf_friction import friction_field, UNTRIED
 from jaxid.robots.export.mjcf_ground import on_the_ground
@@ -37,7 +37,8 @@ from jaxid.robots.export.target import (
     was,
     Written,
 )
-from jaxid.robots.export.xml_text import number as digits, numbers
+from jaxid.robots.export.xml_text import Element, number as digits, numbers, XmlText
+from jaxid.robots.tree import Actuator
 
 
 NAME, VERSION, FILES = "mjcf", "MuJoCo 4.0", (".xml", ".mjcf")
@@ -46,6 +47,9 @@ UNLIMITED = (
     " it is left as it is at {}"
 )
 CALLBACK = "effects.py"
+#: Numbers of a drive's limit; and those that count at the joint, behind the gear.
+LIMITS = {"force", "lowest", "highest"}
+AT_JOINT = {"kp", "kd", "offset", "torque", *LIMITS}
 
 
 def write(
@@ -278,136 +282,128 @@ class _Patch:
         of another law.
         """
         sheet, tree = self.sheet, self.sheet.tree
-        if not sheet.driven or sheet.own_law or tree is None:
+        if not sheet.driven or sheet.own_law or tree is None or sheet.kind != "pd":
             return
         left: list[str] = []
         for joint, stated in sheet.after.items():
-            a = tree.actuators.get(joint)
-            if a is None or a.kind != "position" or sheet.kind != "pd":
+            actuator = tree.actuators.get(joint)
+            if actuator is None or actuator.kind != "position":
                 continue
             now = self._limited(joint, stated)
             if (now.lowest, now.highest) != (stated.lowest, stated.highest):
-                left.append(f"{joint} ({a.force[0]:g} to {a.force[1]:g} {sheet.force_unit(joint)})")
-            own = {
-                "kp": (a.kp, now.kp),
-                "kd": (a.kd, now.kd),
-                "lowest": (a.force[0], now.lowest),
-                "highest": (a.force[1], now.highest),
-                "delay": (a.delay, now.delay),
-                "lag": (a.lag, now.lag),
-                "offset": (a.offset, now.offset),
-            }
-            other = {
-                k
-                for k, (file, new) in own.items()
-                if abs(file - new) > 1e-9 * abs(new) or np.isinf(file) != np.isinf(new)
-            }
-            named = {c.quantity for c in sheet.changes if c.place == joint}
-            if other:
-                fields |= self._actuator(joint, other, now)
-            x = "m" if sheet.slides(joint) else "rad"
-            units = {
-                "kp": f"{sheet.force_unit(joint)}/{x}",
-                "kd": f"{sheet.force_unit(joint)} s/{x}",
-                "delay": "s",
-                "lag": "s",
-            }
-            for k in ("kp", "kd", "delay", "lag"):
-                if k in other and k not in named:
-                    note = "the law of [controller], under which the recording was made"
-                    sheet.changes.append(
-                        RobotChange(
-                            effect=k,
-                            location=joint,
-                            quantity=k,
-                            place=joint,
-                            value=own[k][1],
-                            before=own[k][0],
-                            unit=units[k],
-                            note=note,
-                        )
-                    )
-            if {"lowest", "highest"} & other and not {"force", "lowest", "highest"} & named:
-                note = "the limit of [controller], under which the recording was made"
-                sheet.changes.append(
-                    RobotChange(
-                        effect="saturation",
-                        location=joint,
-                        quantity="force",
-                        place=joint,
-                        value=None,
-                        before=None,
-                        unit=sheet.force_unit(joint),
-                        note=note,
-                    )
-                )
+                low, high = actuator.force
+                left.append(f"{joint} ({low:g} to {high:g} {sheet.force_unit(joint)})")
+            apart = _apart(actuator, now)
+            if apart:
+                fields |= self._actuator(joint, set(apart), now)
+            self._say_law(joint, apart)
         if left:
             self.notes.append(UNLIMITED.format(listed(left)))
+
+    def _say_law(self, joint: str, apart: Mapping[str, tuple[float, float]]) -> None:
+        """Says of the numbers of a law that are other ones that the recording states them."""
+        sheet = self.sheet
+        named = {c.quantity for c in sheet.changes if c.place == joint}
+        force = sheet.force_unit(joint)
+        x = "m" if sheet.slides(joint) else "rad"
+        units = {"kp": f"{force}/{x}", "kd": f"{force} s/{x}", "delay": "s", "lag": "s"}
+        for name, unit in units.items():
+            if name not in apart or name in named:
+                continue
+            file, new = apart[name]
+            change = RobotChange(
+                effect=name,
+                location=joint,
+                quantity=name,
+                place=joint,
+                value=new,
+                before=file,
+                unit=unit,
+                note="the law of [controller], under which the recording was made",
+            )
+            sheet.record([change])
+        if {"lowest", "highest"}.isdisjoint(apart) or not named.isdisjoint(LIMITS):
+            return
+        limit = RobotChange(
+            effect="saturation",
+            location=joint,
+            quantity="force",
+            place=joint,
+            value=None,
+            before=None,
+            unit=force,
+            note="the limit of [controller], under which the recording was made",
+        )
+        sheet.record([limit])
 
     def _actuator(
         self, joint: str, changed: set[str], now: JointNumbers
     ) -> dict[tuple[str, str], Field | None]:
-        found, a = self.file.actuator(joint), self.file.actuator_id(joint)
-        tree = self.sheet.own_tree
-        kind = tree.actuators[joint].kind if joint in tree.actuators else ""
-        names = changed | ({"force"} if changed & {"lowest", "highest"} else set())
-        wanted = "position" if self.sheet.driven else "motor"
-        if (
-            found is None
-            or a < 0
-            or kind != wanted
-            or "ki" in changed
-            or (self.sheet.driven and self.sheet.kind != "pd")
-        ):
-            return {(k, joint): None for k in names}
+        names = set(changed)
+        if changed & {"lowest", "highest"}:
+            names.add("force")
+        found = self._drive_of(joint, changed)
+        if found is None:
+            return {(name, joint): None for name in names}
         text, element = found
         now = self._limited(joint, now)
-        words = DriveWords(self.file.model, a, self.sheet.driven)
+        words = DriveWords(self.file.model, self.file.actuator_id(joint), self.sheet.driven)
         attributes, tag = words.attributes(changed, now, element.name)
         if tag != element.name:
             text.rename(element, tag)
         text.set(element, {k: _as_text(v) for k, v in attributes.items()})
         self._widen(joint, now)
         self.ops.append(Op("actuator", joint, words.general(changed, now)))
-        at, law = f"{tag}[{joint}]@", self.sheet.sampled > 0 and self.sheet.driven
-        how = APPROXIMATE if law else EXACT
-        note = (
-            f"the law ran every {self.sheet.sampled:g} s, MuJoCo's runs at each of its steps"
-            if law
-            else ""
-        )
-        general = tag == "general"
-        name = {
-            "kp": "gainprm, biasprm" if general else "kp",
-            "kd": "biasprm" if general else "kv",
-            "offset": "biasprm",
-            "torque": "biasprm",
-            "drive": "gear",
-            "delay": "delay, nsample, interp",
-            "lag": "dyntype, dynprm" if general else "timeconst",
-        }
-        gear = float(self.file.model.actuator_gear[a, 0])
-        geared = names & {"kp", "kd", "offset", "torque", "force", "lowest", "highest"}
-        at_joint = (
-            f"at the joint: the file's number stands before gear {gear:g}" if gear != 1 else ""
-        )
-        notes = dict.fromkeys(names, note) | dict.fromkeys(geared, joined(note, at_joint))
-        out: dict[tuple[str, str], Field | None] = {
-            (k, joint): Field(at + name.get(k, "forcerange"), how, notes[k]) for k in names
-        }
-        if ("torque", joint) in out:
-            limited = np.isfinite([now.lowest, now.highest]).any()
-            shifted = "forcerange is shifted by as much" if limited else ""
-            out["torque", joint] = Field(f"{at}biasprm", EXACT, joined(shifted, notes["torque"]))
-        if ("delay", joint) in out:
-            out["delay", joint] = Field(at + name["delay"], EXACT, joined(HISTORY, note))
-        forced = [k for k in ("force", "lowest", "highest") if (k, joint) in out]
-        if forced and not np.isfinite([now.lowest, now.highest]).all():
-            one_sided = joined(
-                f"no limit in one direction: {ENDLESS:g} stands for it", notes["force"]
+        return self._drive_fields(joint, names, now, tag)
+
+    def _drive_of(self, joint: str, changed: set[str]) -> tuple[XmlText, Element] | None:
+        """The one actuator of a joint, where an element of its kind can say what changed."""
+        sheet = self.sheet
+        actuator = sheet.own_tree.actuators.get(joint)
+        wanted = "position" if sheet.driven else "motor"
+        if actuator is None or actuator.kind != wanted or self.file.actuator_id(joint) < 0:
+            return None
+        other_law = sheet.driven and sheet.kind != "pd"
+        if other_law or "ki" in changed:
+            return None
+        return self.file.actuator(joint)
+
+    def _drive_fields(
+        self, joint: str, names: set[str], now: JointNumbers, tag: str
+    ) -> dict[tuple[str, str], Field | None]:
+        """Where the numbers of a joint's drive stand in an element `tag`."""
+        at = f"{tag}[{joint}]@"
+        how, steps = EXACT, ""
+        if self.sheet.driven and self.sheet.sampled > 0:
+            how = APPROXIMATE
+            steps = (
+                f"the law ran every {self.sheet.sampled:g} s, MuJoCo's runs at each of its steps"
             )
-            out |= {(k, joint): Field(f"{at}forcerange", APPROXIMATE, one_sided) for k in forced}
+        at_joint = joined(steps, self._geared(joint))
+        out: dict[tuple[str, str], Field | None] = {}
+        for name in names:
+            note = at_joint if name in AT_JOINT else steps
+            out[name, joint] = Field(at + attribute_of(name, tag), how, note)
+        limited = np.isfinite([now.lowest, now.highest])
+        if "torque" in names:
+            shifted = "forcerange is shifted by as much" if limited.any() else ""
+            out["torque", joint] = Field(f"{at}biasprm", EXACT, joined(shifted, at_joint))
+        if "delay" in names:
+            field = at + attribute_of("delay", tag)
+            out["delay", joint] = Field(field, EXACT, joined(HISTORY, steps))
+        if limited.all():
+            return out
+        endless = f"no limit in one direction: {ENDLESS:g} stands for it"
+        for name in names & LIMITS:
+            out[name, joint] = Field(f"{at}forcerange", APPROXIMATE, joined(endless, at_joint))
         return out
+
+    def _geared(self, joint: str) -> str:
+        """What is to be said of numbers that stand before a gear."""
+        gear = float(self.file.model.actuator_gear[self.file.actuator_id(joint), 0])
+        if gear == 1:
+            return ""
+        return f"at the joint: the file's number stands before gear {gear:g}"
 
     def _limited(self, joint: str, now: JointNumbers) -> JointNumbers:
         """The numbers with the file's limits where a law of the recording states none: what it does
@@ -553,3 +549,22 @@ def _as_text(value: Any) -> str | None:
     if value is None or isinstance(value, str):
         return value
     return numbers(np.atleast_1d(value))
+
+
+def _apart(actuator: Actuator, now: JointNumbers) -> dict[str, tuple[float, float]]:
+    """(of the file, new) of each number of a position law that is another one than the file's."""
+    lowest, highest = actuator.force
+    numbers = {
+        "kp": (actuator.kp, now.kp),
+        "kd": (actuator.kd, now.kd),
+        "lowest": (lowest, now.lowest),
+        "highest": (highest, now.highest),
+        "delay": (actuator.delay, now.delay),
+        "lag": (actuator.lag, now.lag),
+        "offset": (actuator.offset, now.offset),
+    }
+    apart = {}
+    for name, (file, new) in numbers.items():
+        if abs(file - new) > 1e-9 * abs(new) or np.isinf(file) != np.isinf(new):
+            apart[name] = file, new
+    return apart

@@ -19,8 +19,23 @@ HISTORY = f"seconds; nsample is enough for time steps of {1e3 * SHORTEST:g} ms a
 #: Attributes of <position> that <general> has not.
 OWN_WORDS = ("kp", "kv", "dampratio", "timeconst", "inheritrange")
 
+#: Attributes of <general> that say a number of a drive, those of other elements, and of both.
+OF_GENERAL = {"kp": "gainprm, biasprm", "kd": "biasprm", "lag": "dyntype, dynprm"}
+OF_OTHERS = {"kp": "kp", "kd": "kv", "lag": "timeconst"}
+OF_BOTH = {
+    "offset": "biasprm",
+    "torque": "biasprm",
+    "drive": "gear",
+    "delay": "delay, nsample, interp",
+}
 #: Numbers of a position law at one joint.
 OF_LAW = ("kp", "kd", "ki", "offset", "lowest", "highest", "delay", "lag")
+
+
+def attribute_of(number: str, tag: str) -> str:
+    """The attributes of an element `tag` that say a number of a drive."""
+    own = OF_GENERAL if tag == "general" else OF_OTHERS
+    return {**OF_BOTH, **own}.get(number, "forcerange")
 
 
 @dataclass(frozen=True)

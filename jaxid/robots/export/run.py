@@ -14,7 +14,7 @@ from jaxid.base.wording import listed, number
 from jaxid.robots.export import mjcf
 from jaxid.robots.export.apply import carried
 from jaxid.robots.export.kept import kept
-from jaxid.robots.export.outcome import ExportOutcome, outcome
+from jaxid.robots.export.outcome import ExportOutcome, outcome, tables
 from jaxid.robots.export.ranges import ranges_of
 from jaxid.robots.export.sheet import of_tree, Sheet
 from jaxid.robots.export.stepped import shifted, stepped
@@ -239,8 +239,7 @@ def _joints(found: ExportOutcome) -> list[str]:
     if found.robot.get("joints"):
         return list(found.robot["joints"])
     if found.kind == "identification":
-        friction = found.content.get("friction") or []
-        return [str(r.get("joint")) for r in friction if isinstance(r, Mapping)]
+        return [str(row.get("joint")) for row in tables(found.content.get("friction"))]
     places, count = [], 1
     for name in found.parameters:
         field, at_sign, place = name.partition("@")
