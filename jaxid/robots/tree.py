@@ -159,6 +159,11 @@ class Tree:
     text: str = field(default="", repr=False)
 
     @property
+    def title(self) -> str:
+        """What it is called: its file where it has one."""
+        return self.file or "the robot"
+
+    @property
     def n(self) -> int:
         return len(self.joints)
 
