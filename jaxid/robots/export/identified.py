@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 
 from jaxid.base.errors import UsageError
+from jaxid.base.wording import stem_and_number
+from jaxid.dynamics.base_parameters import standard_values
 from jaxid.models.effects import ConstantTorque, PowerLawFriction, StribeckFriction
 from jaxid.robots.arms import table_of
 from jaxid.robots.chain_table import z_to
@@ -140,7 +142,7 @@ def _bodies(sheet: Sheet, found: ExportOutcome, tree: Tree) -> None:
     arm: Any = SerialArm(table_of(tree))
     base = arm.base()
     rows = _base_rows(found, tree, base.names)
-    start = np.array([_of_arm(arm, name) for name in base.standard])
+    start = standard_values(arm, base.standard)
     phi, off = _standard(found, base, rows, start)
     _set_bodies(sheet, tree, dict(zip(base.standard, phi, strict=True)))
     for name, before, value in zip(base.standard, start, phi, strict=True):
@@ -197,13 +199,8 @@ def _set_bodies(sheet: Sheet, tree: Tree, standard: Mapping[str, float]) -> None
 
 def _kind_and_joint(name: str) -> tuple[str, int]:
     """`Ixx3` is Ixx of joint number 2, counted from 0."""
-    kind = name.rstrip("0123456789")
-    return kind, int(name[len(kind) :]) - 1
-
-
-def _of_arm(arm: Any, name: str) -> float:
-    kind, j = _kind_and_joint(name)
-    return float(np.asarray(getattr(arm, kind))[j])
+    kind, joint = stem_and_number(name)
+    return kind, int(joint) - 1
 
 
 def _base_change(tree: Tree, name: str, row: Mapping[str, Any], note: str) -> RobotChange:

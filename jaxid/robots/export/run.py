@@ -10,7 +10,7 @@ from typing import Any
 from jaxid.base.display import Printed
 from jaxid.base.errors import nearest, UsageError
 from jaxid.base.small_files import read_small, TooLarge
-from jaxid.base.wording import listed, number
+from jaxid.base.wording import listed, number, stem_and_number
 from jaxid.robots.export import mjcf
 from jaxid.robots.export.apply import carried
 from jaxid.robots.export.kept import kept
@@ -246,7 +246,8 @@ def _joints(found: ExportOutcome) -> list[str]:
         if at_sign:
             places.append(place)
         else:
-            count = max(count, int(field[len(field.rstrip("0123456789")) :] or 1))
+            _, joint = stem_and_number(field)
+            count = max(count, int(joint or 1))
     places += [_joint_of(e.location) for e in found.effects]
     shown = [j for j in dict.fromkeys(places) if j not in ("tau", "force", "u")]
     for k in range(len(shown), count):
