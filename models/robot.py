@@ -28,7 +28,8 @@ from jaxid.robots.coupled import carried, Coupled, coupled, gathered
 from jaxid.robots.file_step import FIELDS as SOFT
 from jaxid.robots.floating import balanced, based, without_slides
 from jaxid.robots.ground import friction_of, Ground, nameless_of, pose_of
-from jaxid.robots.tree import chain_of_rods, roll_pitch_yaw, StaticTree, Tree, up_to
+from jaxid.robots.rods import chain_of_rods
+from jaxid.robots.tree import roll_pitch_yaw, StaticTree, Tree, up_to
 from jaxid.robots.yielding import Yielding
 
 from .effects import ActuatorLag, CoulombFriction, InputDelay, QuadraticDrag, ViscousFriction

@@ -16,10 +16,11 @@ from jaxid.base.errors import UsageError
 from jaxid.base.wording import listed
 from jaxid.robots.export.law_code import code, lawful
 from jaxid.robots.export.mjcf_code import callback, Op, snippet, spec_code
-from jaxid.robots.export.mjcf_drive import attribute_of, DriveWords, ENDLESS, HISTORY, OF_LAW
+from jaxid.robots.export.mjcf_drive import DriveWords, OF_LAW
 from jaxid.robots.export.mjcf_file import compiled, MjcfFile
 from jaxid.robots.export.mjcf_friction import friction_field, UNTRIED
 from jaxid.robots.export.mjcf_ground import on_the_ground
+from jaxid.robots.export.mjcf_law import apart_from, drive_fields, stated_changes
 from jaxid.robots.export.outcome import AS_STATED, ExportOutcome
 from jaxid.robots.export.sheet import from_ten, JointNumbers, LinkInertia, RobotChange, Sheet
 from jaxid.robots.export.target import (
@@ -38,7 +39,6 @@ from jaxid.robots.export.target import (
     Written,
 )
 from jaxid.robots.export.xml_text import Element, number as digits, numbers, XmlText
-from jaxid.robots.tree import Actuator
 
 
 NAME, VERSION, FILES = "mjcf", "MuJoCo 4.0", (".xml", ".mjcf")
@@ -47,9 +47,6 @@ UNLIMITED = (
     " it is left as it is at {}"
 )
 CALLBACK = "effects.py"
-#: Numbers of a drive's limit; and those that count at the joint, behind the gear.
-LIMITS = {"force", "lowest", "highest"}
-AT_JOINT = {"kp", "kd", "offset", "torque", *LIMITS}
 
 
 def write(
@@ -293,48 +290,12 @@ class _Patch:
             if (now.lowest, now.highest) != (stated.lowest, stated.highest):
                 low, high = actuator.force
                 left.append(f"{joint} ({low:g} to {high:g} {sheet.force_unit(joint)})")
-            apart = _apart(actuator, now)
+            apart = apart_from(actuator, now)
             if apart:
                 fields |= self._actuator(joint, set(apart), now)
-            self._say_law(joint, apart)
+            sheet.record(list(stated_changes(sheet, joint, apart)))
         if left:
             self.notes.append(UNLIMITED.format(listed(left)))
-
-    def _say_law(self, joint: str, apart: Mapping[str, tuple[float, float]]) -> None:
-        """Says of the numbers of a law that are other ones that the recording states them."""
-        sheet = self.sheet
-        named = {c.quantity for c in sheet.changes if c.place == joint}
-        force = sheet.force_unit(joint)
-        x = "m" if sheet.slides(joint) else "rad"
-        units = {"kp": f"{force}/{x}", "kd": f"{force} s/{x}", "delay": "s", "lag": "s"}
-        for name, unit in units.items():
-            if name not in apart or name in named:
-                continue
-            file, new = apart[name]
-            change = RobotChange(
-                effect=name,
-                location=joint,
-                quantity=name,
-                place=joint,
-                value=new,
-                before=file,
-                unit=unit,
-                note="the law of [controller], under which the recording was made",
-            )
-            sheet.record([change])
-        if {"lowest", "highest"}.isdisjoint(apart) or not named.isdisjoint(LIMITS):
-            return
-        limit = RobotChange(
-            effect="saturation",
-            location=joint,
-            quantity="force",
-            place=joint,
-            value=None,
-            before=None,
-            unit=force,
-            note="the limit of [controller], under which the recording was made",
-        )
-        sheet.record([limit])
 
     def _actuator(
         self, joint: str, changed: set[str], now: JointNumbers
@@ -354,7 +315,9 @@ class _Patch:
         text.set(element, {k: _as_text(v) for k, v in attributes.items()})
         self._widen(joint, now)
         self.ops.append(Op("actuator", joint, words.general(changed, now)))
-        return self._drive_fields(joint, names, now, tag)
+        place = f"{tag}[{joint}]@"
+        fields = drive_fields(self.sheet, place, names, now, words.gear)
+        return {(name, joint): field for name, field in fields.items()}
 
     def _drive_of(self, joint: str, changed: set[str]) -> tuple[XmlText, Element] | None:
         """The one actuator of a joint, where an element of its kind can say what changed."""
@@ -367,43 +330,6 @@ class _Patch:
         if other_law or "ki" in changed:
             return None
         return self.file.actuator(joint)
-
-    def _drive_fields(
-        self, joint: str, names: set[str], now: JointNumbers, tag: str
-    ) -> dict[tuple[str, str], Field | None]:
-        """Where the numbers of a joint's drive stand in an element `tag`."""
-        at = f"{tag}[{joint}]@"
-        how, steps = EXACT, ""
-        if self.sheet.driven and self.sheet.sampled > 0:
-            how = APPROXIMATE
-            steps = (
-                f"the law ran every {self.sheet.sampled:g} s, MuJoCo's runs at each of its steps"
-            )
-        at_joint = joined(steps, self._geared(joint))
-        out: dict[tuple[str, str], Field | None] = {}
-        for name in names:
-            note = at_joint if name in AT_JOINT else steps
-            out[name, joint] = Field(at + attribute_of(name, tag), how, note)
-        limited = np.isfinite([now.lowest, now.highest])
-        if "torque" in names:
-            shifted = "forcerange is shifted by as much" if limited.any() else ""
-            out["torque", joint] = Field(f"{at}biasprm", EXACT, joined(shifted, at_joint))
-        if "delay" in names:
-            field = at + attribute_of("delay", tag)
-            out["delay", joint] = Field(field, EXACT, joined(HISTORY, steps))
-        if limited.all():
-            return out
-        endless = f"no limit in one direction: {ENDLESS:g} stands for it"
-        for name in names & LIMITS:
-            out[name, joint] = Field(f"{at}forcerange", APPROXIMATE, joined(endless, at_joint))
-        return out
-
-    def _geared(self, joint: str) -> str:
-        """What is to be said of numbers that stand before a gear."""
-        gear = float(self.file.model.actuator_gear[self.file.actuator_id(joint), 0])
-        if gear == 1:
-            return ""
-        return f"at the joint: the file's number stands before gear {gear:g}"
 
     def _limited(self, joint: str, now: JointNumbers) -> JointNumbers:
         """The numbers with the file's limits where a law of the recording states none: what it does
@@ -549,22 +475,3 @@ def _as_text(value: Any) -> str | None:
     if value is None or isinstance(value, str):
         return value
     return numbers(np.atleast_1d(value))
-
-
-def _apart(actuator: Actuator, now: JointNumbers) -> dict[str, tuple[float, float]]:
-    """(of the file, new) of each number of a position law that is another one than the file's."""
-    lowest, highest = actuator.force
-    numbers = {
-        "kp": (actuator.kp, now.kp),
-        "kd": (actuator.kd, now.kd),
-        "lowest": (lowest, now.lowest),
-        "highest": (highest, now.highest),
-        "delay": (actuator.delay, now.delay),
-        "lag": (actuator.lag, now.lag),
-        "offset": (actuator.offset, now.offset),
-    }
-    apart = {}
-    for name, (file, new) in numbers.items():
-        if abs(file - new) > 1e-9 * abs(new) or np.isinf(file) != np.isinf(new):
-            apart[name] = file, new
-    return apart

@@ -48,6 +48,11 @@ class DriveWords:
     actuator: int
     driven: bool
 
+    @property
+    def gear(self) -> float:
+        """The actuator's gear in the file."""
+        return float(self.model.actuator_gear[self.actuator, 0])
+
     def attributes(
         self, changed: set[str], now: JointNumbers, tag: str
     ) -> tuple[dict[str, Any], str]:
@@ -79,7 +84,7 @@ class DriveWords:
 
     def general(self, changed: set[str], now: JointNumbers) -> dict[str, Any]:
         """The quantities that changed in MuJoCo's general terms."""
-        gear = float(self.model.actuator_gear[self.actuator, 0]) * now.drive
+        gear = self.gear * now.drive
         own: dict[str, Any] = {}
         if changed & {"kp", "kd", "offset", "torque"}:
             own |= self._gains(gear, now)
