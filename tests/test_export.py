@@ -1142,7 +1142,7 @@ def test_friction_is_hardened_only_where_the_recording_is_nearer_with_it(tmp_pat
     for hard in (True, False):
         asked: list[bool] = []
 
-        def trial(files, name, hard=hard, asked=asked):
+        def trial(files, name, rows, hard=hard, asked=asked):
             asked.append("solreffriction" in files[name])
             return {"q": 1.0 if asked[-1] == hard else 2.0}
 

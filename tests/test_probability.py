@@ -17,7 +17,7 @@ from jaxid.diagnosis.probability import (
     SetMember,
 )
 from jaxid.diagnosis.torque.algebra import ColumnPrior
-from jaxid.diagnosis.torque.claims import claims
+from jaxid.diagnosis.torque.claims import claims, in_place_of
 from jaxid.diagnosis.torque.held_out import cut, HeldOutRows, JudgedRun
 from jaxid.diagnosis.torque.library import Unit
 from jaxid.diagnosis.torque.weigh import Scales, weigh
@@ -251,3 +251,21 @@ def test_what_says_the_same_at_a_place_is_one_family_whoever_was_asked_with_it()
     (claim,) = claims(found)
     assert {units[u].effect for u in (claim.unit, *claim.instead)} == {"bias", "tilt"}
     assert claim.together >= RULE.sure > claim.probability
+
+
+def test_what_may_act_in_the_place_of_an_effect_is_what_looks_the_same():
+    found = weigh(alike_elsewhere())
+    (claim,) = claims(found)
+    instead = in_place_of(found, [claim.unit])
+    own, other = sorted([("bias", "q1"), ("tilt", "q1")], key=lambda p: p in instead)
+    assert found.scales.units[claim.unit].place == own
+    assert instead[other] == pytest.approx(0.5, abs=0.1)
+    assert instead.get(("drag", "q1"), 0.0) < 0.05
+
+
+def test_what_acts_beside_is_in_nobodys_place():
+    """Both act: neither may be there instead of the other one."""
+    found = weigh(scales({2: 1.0, 3: 1.0}))
+    spring = next(u for u in found.best if UNITS[u].effect == "spring")
+    assert found.places["drag", "q1"] > 0.99
+    assert in_place_of(found, [spring]).get(("drag", "q1"), 0.0) < 0.01

@@ -26,6 +26,7 @@ from jaxid.diagnosis.goals.plant import LedPlant
 from jaxid.diagnosis.goals.propose import proposals
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy
+from jaxid.diagnosis.goals.touching import effects_by_runs
 from jaxid.diagnosis.hypothesis import candidates
 from jaxid.diagnosis.missing import missing_forces
 from jaxid.diagnosis.torque import plant as torque_plant
@@ -218,6 +219,24 @@ def test_numbers_count_that_a_fit_tells_from_what_they_were(torque):
     h = alone.decider.refit([c], b.theta)
     assert alone.told(h) == ([] if torque == 0 else list(c.index)) and alone.numbers(h) == 1
     assert alone.told(alone.stands) == []
+
+
+def test_simulations_show_a_law_at_speeds_at_which_friction_turns_about():
+    """One size of each effect is simulated; the best one is that which the recording has."""
+    model = robot(limb("lift", 0.2))
+    law = {"extra": 0.4, "speed": 0.2}
+    there = [{"effect": "stribeck_friction", "location": "lift", "parameters": law}]
+    recorded, kinds = moving(model, swinging(), effects=there), [ConstantTorque, StribeckFriction]
+    plain = bind(model, recorded)
+    bench = ProblemBuilder(bind(model, recorded, candidates=kinds), differences=1)
+    stands = Decider(bench, plain.layout.names).refit((), bench.binding.theta)
+    p = stands.path.problem
+    first, *_ = effects_by_runs(
+        bench, plain, kinds, stands.theta, list(p.free), p.starts(stands.path.z)
+    )
+    (unit,), (numbers,) = first.units, first.numbers
+    assert unit.place == ("stribeck_friction", "lift")
+    assert 0.1 < dict(zip(unit.fields, numbers, strict=True))["extra"] < 0.8
 
 
 def test_bristles_that_give_over_no_distance_are_another_law():

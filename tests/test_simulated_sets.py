@@ -156,7 +156,25 @@ def test_what_simulations_take_back_is_no_more_probable_than_they_make_it():
     assert columns.at_most(judged).places == places
 
 
-def test_an_effect_of_sets_that_lost_is_as_probable_as_the_best_of_them(monkeypatch):
+def test_at_the_noise_only_what_acts_in_the_place_of_what_is_named_is_left():
+    """Columns of a loose arm made two loads and a lag possible that the simulation did not miss."""
+    bias, tilt, load = ("sensor_bias", "j1"), ("gravity_offset", "j1"), ("payload", "j3")
+    law = FreeLaw("j2", "speed", 0.4)
+    columns = Belief(
+        {bias: 0.501, tilt: 0.499, load: 0.31},
+        probability=0.99,
+        free_law=law,
+        none=0.0,
+        rivals={tilt: 0.498, load: 0.02},
+    )
+    found = columns.at_the_noise({bias})
+    assert found.places == {bias: 0.501, tilt: 0.498, load: 0.02}
+    assert found.free_law is None and found.none == 0.0
+    nothing = Belief({load: 0.999}, none=0.001).at_the_noise({})
+    assert nothing.places == {} and nothing.none == 1.0
+
+
+def test_effects_of_sets_that_were_simulated_share_their_probability(monkeypatch):
     def gained(_: Decider, before: Any, after: Any) -> float:
         return after.worth - before.worth
 
@@ -166,9 +184,26 @@ def test_an_effect_of_sets_that_lost_is_as_probable_as_the_best_of_them(monkeypa
     monkeypatch.setattr(Decider, "gained", gained)
     decider = Decider(cast(Any, None), ())
     won = found(0.0, LAG)
-    decider.told_of_losers(
-        won, [won, found(-9.0, DELAY), found(-2.0, LAG, DELAY), found(np.nan, DRAG)]
-    )
-    assert set(decider.sure) == {("input_delay", "tau"), ("quadratic_drag", "q")}
-    assert decider.sure["input_delay", "tau"] == pytest.approx(1 / (1 + np.exp(2.0)))
+    both = found(-2.0, LAG, DELAY)
+    decider.compared(won, [won, found(-9.0, DELAY), both, found(np.nan, DRAG)])
+    odds = np.exp(-2.0) + np.exp(-9.0)
+    assert decider.sure["input_delay", "tau"] == pytest.approx(odds / (1 + odds))
+    assert decider.sure["actuator_lag", "tau"] == pytest.approx(1 / (1 + np.exp(-9.0)), rel=2e-5)
     assert decider.sure["quadratic_drag", "q"] < 1e-9
+
+
+def test_of_two_that_leave_as_much_at_one_place_either_may_be_claimed(monkeypatch):
+    """Neither has what a claim needs; one of both is there. At two places nothing is claimed."""
+
+    def even(_: Decider, before: Any, after: Any) -> float:
+        return 0.0
+
+    monkeypatch.setattr(Decider, "gained", even)
+    for other, claimed in ((DELAY, True), (DRAG, False)):
+        decider = Decider(cast(Any, None), ())
+        won = cast(Any, SimpleNamespace(effects=(LAG,)))
+        lost = cast(Any, SimpleNamespace(effects=(other,)))
+        decider.compared(won, [won, lost])
+        rivals = decider.rivals(won, [won, lost])
+        assert rivals == [other] and decider.sure["actuator_lag", "tau"] == pytest.approx(0.5)
+        assert decider.claimed(LAG, rivals) is claimed

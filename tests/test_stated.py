@@ -88,6 +88,34 @@ def test_a_ratio_of_two_is_said_as_that():
     assert all(s.deviation is None for s in told if s is not wrong)
 
 
+def test_of_two_where_one_is_stated_as_nothing_both_ways_are_said():
+    """Dry friction, stated 0, and where a mass is: the data tell friction + 100 mass's place."""
+    names, units = ("friction", "com"), ("N m", "m")
+    line = np.array([[1.0, -0.01], [-0.01, 1e-4]])
+    C = 100.0 * line + 1e-4 * np.diag([1.0, 1e-4])
+    fitted, stated = (4.0, -0.26), (0.0, -0.3)
+    found, rows = {}, {}
+    for k, name in enumerate(names):
+        std = float(np.sqrt(C[k, k]))
+        found[k] = Estimate(fitted[k], std, units[k], -100.0, 100.0)
+        off = (fitted[k] - stated[k]) / std
+        rows[k] = StatedNumber(
+            joint="axis",
+            link="",
+            parameter=name,
+            stated=stated[k],
+            fitted=fitted[k],
+            std=std,
+            deviation=off,
+            text=f"{name}: …",
+            unit=units[k],
+        )
+    told = judged(rows, names, found, Covariance(names, C))
+    (wrong,) = [s for s in told if s.refuted]
+    assert "friction of axis is 8.0" in wrong.text and "com of axis is -0.22" in wrong.text
+    assert wrong.text.startswith("either ") and "the data do not tell which" in wrong.text
+
+
 def known(value, covariance, lower=-1e9, upper=1e9) -> BoundedEstimates:
     n = len(value)
     return BoundedEstimates(

@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TYPE_CHECKING
 
+import numpy as np
+
 from jaxid.base.display import displays
 from jaxid.base.reader import arrays_reader
 from jaxid.base.wording import names_of
@@ -152,6 +154,12 @@ class Dataset:
     def to_fit(self) -> tuple[Experiment, ...]:
         """The runs of the fit; all where none is for it."""
         return self.split("fit") or self.experiments
+
+    @property
+    def sampling_time(self) -> float:
+        """Median time between samples of the runs to fit, s, to a microsecond; 0 without runs."""
+        steps = [np.median(np.diff(e.t)) for e in self.to_fit]
+        return round(float(np.median(steps)), 6) if steps else 0.0
 
     def split(self, name: str) -> tuple[Experiment, ...]:
         """The runs of one split: "fit", "validation" or "report"."""

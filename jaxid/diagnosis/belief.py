@@ -4,7 +4,7 @@ or that nothing is; and what each named effect is worth.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import chain
 from typing import Any
@@ -63,9 +63,9 @@ class FreeLaw:
 
 @dataclass(frozen=True)
 class Belief:
-    """Probabilities of a diagnosis. `places`: of each effect at each place; `probability`: that all
-    named effects are missing, or one of the family that each stands for; `none`: that nothing is.
-    What was not asked is None.
+    """Probabilities of a diagnosis. `places`: of each effect at each place; `rivals`: that one acts
+    in the place of what is named; `probability`: that all named effects are missing, or one of the
+    family that each stands for; `none`: that nothing is. What was not asked is None.
     """
 
     places: dict[tuple[str, str], float]
@@ -74,6 +74,7 @@ class Belief:
     free_law: FreeLaw | None = None
     none: float | None = None
     worth: dict[tuple[str, str], Worth] = field(default_factory=dict)
+    rivals: dict[tuple[str, str], float] = field(default_factory=dict)
 
     def of(self, effect: str, location: str) -> dict[str, Any]:
         """What is told of one named effect."""
@@ -94,6 +95,16 @@ class Belief:
         """Where simulations give effects at places so much and no more."""
         places = {place: min(p, judged.get(place, p)) for place, p in self.places.items()}
         return replace(self, places=places)
+
+    def at_the_noise(self, simulated: Container[tuple[str, str]]) -> Belief:
+        """Where what is named leaves the noise: nothing is left that effects beside it could
+        explain. Of those that were not simulated there may be what acts in its place.
+        """
+        places = {place: p for place, p in self.places.items() if place in simulated}
+        for place, p in self.rivals.items():
+            places.setdefault(place, min(p, self.places.get(place, p)))
+        none = 0.0 if places and self.probability is not None else 1.0
+        return replace(self, places=places, free_law=None, none=none)
 
     def of_a_gap(self) -> Belief:
         """Where the verdict is that something is missing. The sets that were compared may hold
@@ -129,9 +140,11 @@ def joined_beliefs(parts: Sequence[Belief]) -> Belief | None:
         return None
     places: dict[tuple[str, str], float] = {}
     worth: dict[tuple[str, str], Worth] = {}
+    rivals: dict[tuple[str, str], float] = {}
     for part in parts:
         places |= part.places
         worth |= part.worth
+        rivals |= part.rivals
     sure = [part.probability for part in parts if part.probability is not None]
     absent = [part.none for part in parts if part.none is not None]
     laws = [part.free_law for part in parts if part.free_law is not None]
@@ -142,4 +155,5 @@ def joined_beliefs(parts: Sequence[Belief]) -> Belief | None:
         free_law=max(laws, key=lambda law: law.probability, default=None),
         none=product(absent) if len(absent) == len(parts) else None,
         worth=worth,
+        rivals=rivals,
     )

@@ -141,11 +141,9 @@ class Chain(eqx.Module):
         """
         if self.mechanism.behind_law(effect):
             return self.places(effect)[: self.nq]
-        return (
-            self.places(effect)
-            if effect.offered is None
-            else effect.offered(self.mechanism, self.signature)
-        )
+        if effect.offered is None:
+            return self.places(effect)
+        return effect.offered(self.mechanism, self.signature)
 
     @property
     def contents(self) -> set[str]:
@@ -293,12 +291,11 @@ class Chain(eqx.Module):
     def sensed_anew(self, z: tuple, fresh: tuple, here: Array) -> tuple:
         """States z, with those of the sensors as in `fresh` where `here`."""
 
-        def anew(a, b):
-            return jax.tree.map(lambda a, b: jnp.where(here, a, b), a, b)
-
         states = []
         for effect, new, old in zip(self.effects, fresh, z, strict=True):
-            states.append(anew(new, old) if isinstance(effect, OutputEffect) else old)
+            if isinstance(effect, OutputEffect):
+                old = jax.tree.map(lambda a, b: jnp.where(here, a, b), new, old)
+            states.append(old)
         return tuple(states)
 
     def begins(
@@ -336,10 +333,13 @@ class Chain(eqx.Module):
         if n < whole.u.shape[0]:
             s = s._replace(command=first_command(whole, n), beside=beside)
         for i, e in self.at(InputEffect):
-            if self.signature.rates and (late := e.late()) is not None:
+            late = e.late()
+            if self.signature.rates and late is not None:
                 still = jnp.zeros(beside.shape[0] - self.signature.rates)
                 s = s._replace(beside=whole.delayed(jnp.concatenate([late, late, still]))[n:])
             u, z_new[i] = e(u, s._replace(q=s.q + self._off()) if e.reads_encoders else s, z[i])
+            if late is not None:
+                s = s._replace(command=s.command.behind(late))
         return (jnp.concatenate([u, beside]) if n < whole.u.shape[0] else u), tuple(z_new)
 
     def friction(self, s: Signals, z: tuple) -> tuple[Array, Array, Array, tuple]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import equinox as eqx
 import numpy as np
@@ -31,6 +31,10 @@ class Command(NamedTuple):
     u: Float[Array, " nu"]
     other: Float[Array, " nu"]
     delayed: Callable[[Float[Array, " nu"]], Float[Array, " nu"]]
+
+    def behind(self, late: Float[Array, " nu"]) -> Command:
+        """What arrives where each input is `late`, s."""
+        return self._replace(u=self.delayed(late), delayed=lambda d: self.delayed(d + late))
 
 
 class Signals(NamedTuple):
@@ -79,6 +83,11 @@ class Effect(eqx.Module):
         channels at omega, rad/s; None: nothing.
         """
         return None
+
+    @classmethod
+    def sampled(cls, period: float) -> Self:
+        """The effect that does nothing yet, on commands that are recorded every `period` s."""
+        return neutral(cls)
 
     #: Effects of one port act in the order of their stage, then as they were given: what happens to
     #: the command before it reaches the drive comes first, what edits a mechanism before what wraps

@@ -20,9 +20,11 @@ from jaxid.data.dataset import Dataset, Experiment
 from jaxid.fitting.simulate import simulate_dataset
 from jaxid.models import Robot
 from jaxid.robots.drives import DriveLaw, stated_law
+from jaxid.robots.export.code_beside import commanded, left_out, on_commands
 from jaxid.robots.export.law_code import own_number
 from jaxid.robots.export.run import read_tree
 from jaxid.robots.export.save import ROWS, source_of
+from jaxid.robots.export.target import EXACT, ExportRow
 from jaxid.robots.free_joints import free_joints
 from jaxid.robots.match import driving, named, recorded
 from jaxid.robots.origin import digest
@@ -82,7 +84,7 @@ class _Source:
 
     content: Mapping[str, Any]
     original: Path | None
-    rows: tuple[Mapping[str, Any], ...]
+    rows: tuple[ExportRow, ...]
 
 
 def run_replay(dataset: Dataset, robot: Path, against: Path | None) -> Replay:
@@ -95,7 +97,9 @@ def run_replay(dataset: Dataset, robot: Path, against: Path | None) -> Replay:
         other, source = "jaxid", _source(robot)
         simulated, starts = _by_jaxid(dataset, data, robot, tree, source, notes)
         starts = starts or measured
-        ours = in_mujoco(data, robot, tree, source, starts, notes)
+        beside = () if source is None else source.rows
+        ours = in_mujoco(commanded(data, beside), robot, tree, source, starts, notes)
+        notes += _of_code(beside)
     else:
         other, source, starts = "against", None, measured
         there = _plain_tree(against)
@@ -108,7 +112,8 @@ def run_replay(dataset: Dataset, robot: Path, against: Path | None) -> Replay:
         simulated = in_mujoco(data, against, there, None, starts, notes)
     before = _before(data, source, starts)
     rows, runs = _compared(data, tree, ours, simulated, other, before)
-    notes += _worse(rows)
+    if source is None or not left_out(source.rows):
+        notes += _worse(rows)
     notes += _verdict(rows, source, other)
     return Replay(
         dataset.name, str(robot), other, tuple(rows), tuple(runs), tuple(dict.fromkeys(notes))
@@ -142,9 +147,18 @@ def _source(robot: Path) -> _Source | None:
         rows = json.loads(read_small(robot.parent / ROWS))
     except (OSError, ValueError):
         rows = []
-    return _Source(
-        content, original if known else None, tuple(r for r in rows if isinstance(r, Mapping))
-    )
+    told = tuple(ExportRow.of(r) for r in rows if isinstance(r, Mapping))
+    return _Source(content, original if known else None, told)
+
+
+def _of_code(rows: Sequence[ExportRow]) -> list[str]:
+    """What of effects.py is in a run of the patched file, and what is not."""
+    notes = []
+    if on_commands(rows):
+        notes.append(f"its goals pass through {on_commands(rows)}, as effects.py has it")
+    if left_out(rows):
+        notes.append(f"without {left_out(rows)}, which effects.py adds")
+    return notes
 
 
 def _by_jaxid(
@@ -411,7 +425,7 @@ def _lacking(source: _Source | None, joint: str) -> list[str]:
     """The effects of a joint that an export did not carry over exactly, each once."""
     lacking = {}
     for row in source.rows if source else ():
-        of_joint = str(row.get("location", "")).split("_cmd")[0].split("_tau")[0]
-        if row.get("how") != "exact" and of_joint == joint:
-            lacking[f"{row.get('effect')} ({row.get('how')})"] = None
+        of_joint = row.location.split("_cmd")[0].split("_tau")[0]
+        if row.how != EXACT and of_joint == joint:
+            lacking[f"{row.effect} ({row.how})"] = None
     return list(lacking)

@@ -258,6 +258,8 @@ def _together(
     row = rows[0]
     told = map(int, np.flatnonzero(np.isfinite(stated)))
     kept = [i for i in told if i not in change.refuted and i != m]
+    if rows[0].unit != rows[1].unit and 0.0 in (stated[k], stated[m]):
+        return _either(rows, called, at, kept, known, stated, change)
     value, covariance, _ = known.beside(kept, stated[kept])
     pair = np.ix_([k, m], [k, m])
     form = min(
@@ -295,16 +297,57 @@ def _together(
     )
 
 
+def _either(
+    rows: tuple[StatedNumber, StatedNumber],
+    called: tuple[str, str],
+    at: tuple[int, int],
+    kept: Sequence[int],
+    known: BoundedEstimates,
+    stated: np.ndarray,
+    change: SmallestChange,
+) -> StatedNumber:
+    """Two numbers of which either may be wrong, where one of them is stated as 0: what each would be
+    with the other as stated.
+    """
+    k, m = at
+    beside_m, spread_m, _ = known.beside([*kept, m], stated[[*kept, m]])
+    beside_k, spread_k, _ = known.beside([*kept, k], stated[[*kept, k]])
+    std = float(np.sqrt(max(spread_m[k, k], 0.0)))
+    other_std = float(np.sqrt(max(spread_k[m, m], 0.0)))
+    first = _alone(called[0], float(beside_m[k]), std, rows[0])
+    second = _alone(called[1], float(beside_k[m]), other_std, rows[1])
+    off = f"{number(abs(change.deviation[k]), 2)} standard deviations"
+    signed = float(np.copysign(change.deviation[k], beside_m[k] - stated[k]))
+    return StatedNumber(
+        joint=rows[0].joint,
+        link=rows[0].link,
+        parameter=f"{called[0]} or {called[1]}",
+        stated=float(stated[k]),
+        fitted=float(beside_m[k]),
+        std=std,
+        deviation=signed,
+        text=f"either {first} or {second} ({off}): the data do not tell which of the two",
+        unit=rows[0].unit,
+    )
+
+
+def _alone(called: str, value: float, std: float, row: StatedNumber) -> str:
+    """What a number would be by itself, and as what it is stated."""
+    unit = "" if row.unit in ("", "1") else f" {row.unit}"
+    return f"{called} is {number(value)} ± {number(std, 2)}{unit}, not {number(row.stated)}"
+
+
 def _forms(value: np.ndarray, stated: np.ndarray, alike: bool) -> list[_Form]:
-    """Ways in which two numbers (values [2], as stated [2]) may go together; sums only of what has
-    the same unit.
+    """Ways in which two numbers (values [2], as stated [2]) may go together: ratio and product of
+    what is not stated as 0, sum and difference of what has the same unit.
     """
     (a, b), (c, d) = map(float, value), map(float, stated)
     out = []
-    if b and d:
+    if c and d and b:
         out.append(_Form("/", "ratio", a / b, c / d, np.array([1 / b, -a / b**2])))
-    out.append(_Form("·", "product", a * b, c * d, np.array([b, a])))
-    if alike or not out:
+    if c and d:
+        out.append(_Form("·", "product", a * b, c * d, np.array([b, a])))
+    if alike:
         out.append(_Form("+", "sum", a + b, c + d, np.array([1.0, 1.0])))
         out.append(_Form("-", "difference", a - b, c - d, np.array([1.0, -1.0])))
     return out

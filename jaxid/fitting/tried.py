@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import tempfile
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -17,7 +17,9 @@ from jaxid.base.errors import DatasetError, UsageError
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.data.io import load_dataset
 from jaxid.fitting.replay import in_mujoco, joints_of, measured_start
+from jaxid.robots.export.code_beside import commanded
 from jaxid.robots.export.run import read_tree
+from jaxid.robots.export.target import ExportRow
 from jaxid.robots.match import driving, named
 
 
@@ -33,20 +35,22 @@ class OnRecording:
     def __init__(self, dataset: Dataset):
         self.dataset = shortened(dataset)
 
-    def __call__(self, files: Mapping[str, str], name: str) -> Mapping[str, float] | None:
+    def __call__(
+        self, files: Mapping[str, str], name: str, rows: Sequence[ExportRow]
+    ) -> Mapping[str, float] | None:
         with tempfile.TemporaryDirectory() as folder:
             for file, text in files.items():
                 path = Path(folder) / PurePosixPath(file)
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_text(text, encoding="utf-8")
             try:
-                return self._off(Path(folder) / name)
+                return self._off(Path(folder) / name, commanded(self.dataset, rows))
             except UsageError:
                 return None
 
-    def _off(self, path: Path) -> Mapping[str, float] | None:
+    def _off(self, path: Path, dataset: Dataset) -> Mapping[str, float] | None:
         tree = read_tree(path)
-        data = driving(named(self.dataset, tree, self.dataset.stated.joints), tree)
+        data = driving(named(dataset, tree, dataset.stated.joints), tree)
         joints = joints_of(data, tree)
         starts = [measured_start(e, data, joints) for e in data.experiments]
         runs = in_mujoco(data, path, tree, None, starts, [])

@@ -22,7 +22,7 @@ from jaxid.data.units import si_unit
 from jaxid.dynamics import catalogue
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.drive_torque import FORCES
-from jaxid.dynamics.effect import Effect, neutral
+from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.joint_readings import all_read, with_speeds
 from jaxid.dynamics.mechanism import Mechanism, Signature
 from jaxid.dynamics.parameter import settings, TypicalMagnitudes, with_settings
@@ -302,7 +302,8 @@ def bind(
     nominal = resolve_model(model, dataset, without)
     dataset = in_chain_order(dataset, joint_names(nominal.mechanism))
     added = [parse_effect(e, nominal) for e in effects]
-    chain = _with_effects(nominal, [kind for kind, _ in added], candidates)
+    kinds = [kind for kind, _ in added]
+    chain = _with_effects(nominal, kinds, candidates, dataset.sampling_time)
     dataset, noise, stamps = _noise(dataset, nominal, added)
     names = chain.signature.output_names
     alone = noise
@@ -357,13 +358,18 @@ def bind(
 
 
 def _with_effects(
-    nominal: Chain, added: Iterable[type[Effect]], candidates: Iterable[type[Effect]]
+    nominal: Chain,
+    added: Iterable[type[Effect]],
+    candidates: Iterable[type[Effect]],
+    period: float,
 ) -> Chain:
-    """The chain with what it lacks of the effects, at their neutral values."""
+    """The chain with what it lacks of the effects, at their neutral values, for commands that are
+    recorded every `period` s.
+    """
     present = set(names_of(nominal.effects))
     kinds = dict.fromkeys(kind for kind in added if kind.name not in present)
     kinds |= dict.fromkeys(kind for kind in candidates if kind.name not in nominal.contents)
-    return nominal.with_effects(*map(neutral, kinds))
+    return nominal.with_effects(*(kind.sampled(period) for kind in kinds))
 
 
 def _noise(

@@ -45,6 +45,7 @@ from .sensor import SensorBias, SensorDelay, SensorLag, SensorScale, TimestampJi
 from .step_change import StepChange
 from .timing import InputDelay, InputHold
 from .transmission import Backlash, Hysteresis, JointElasticity
+from .velocity_feedforward import VelocityFeedforward
 from .warmth import TemperatureDependentFriction
 
 

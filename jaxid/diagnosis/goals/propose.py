@@ -17,7 +17,14 @@ from jaxid.diagnosis.hypothesis import Candidate, candidates
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.answer import of_model
 from jaxid.diagnosis.torque.choose import Chooser, Model
-from jaxid.diagnosis.torque.claims import believed, claims, instead, likeliest, TorqueClaim
+from jaxid.diagnosis.torque.claims import (
+    believed,
+    claims,
+    in_place_of,
+    instead,
+    likeliest,
+    TorqueClaim,
+)
 from jaxid.diagnosis.torque.held_out import SHARED
 from jaxid.diagnosis.torque.judged import scales
 from jaxid.diagnosis.torque.library import MOMENT, Unit
@@ -86,7 +93,12 @@ class ProposedSets:
             for place, p in named.items()
         }
         sure = product([own.get(place, p) for place, p in named.items()])
-        return replace(found, places=found.places | places, probability=sure if named else None)
+        return replace(
+            found,
+            places=found.places | places,
+            probability=sure if named else None,
+            rivals=self._rivals(named),
+        )
 
     def instead(self, named: Container[tuple[str, str]]) -> list[Candidate]:
         """What could be there in the place of what is named, by name and place."""
@@ -95,6 +107,15 @@ class ProposedSets:
         return [
             Candidate(u.effect, u.location, ()) for u in instead(self.weighed, self._kept(named))
         ]
+
+    def _rivals(self, named: Container[tuple[str, str]]) -> dict[tuple[str, str], float]:
+        """What may act in the place of what is named, by columns."""
+        if self.weighed is None:
+            return {}
+        units = self.weighed.scales.units
+        standing = {claim.unit for claim in self._kept(named)}
+        standing |= {u for u in self.weighed.best if units[u].place in named}
+        return in_place_of(self.weighed, sorted(standing))
 
     def _kept(self, named: Container[tuple[str, str]]) -> list[TorqueClaim]:
         return [claim for claim in self.claims if self._place(claim) in named]

@@ -300,7 +300,7 @@ def _searched(
         decider, found = with_what_is_still_missing(ask, decider, first)
         if road.turns(decider, found):  # another diagnosis takes the place of this one
             return decider, found
-        return decider, decider.with_what_the_file_lacks(found)
+        return decider, decider.with_what_the_file_lacks(decider.believed(found))
 
     return ask.answer(
         ask.known(names, proposed.inflation),

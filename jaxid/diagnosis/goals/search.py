@@ -11,7 +11,7 @@ from jaxid.diagnosis.evidence import held_out, knowledge
 from jaxid.diagnosis.goals.left_open import left_open
 from jaxid.diagnosis.goals.propose import as_vector, candidates_of, ProposedSets
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
-from jaxid.diagnosis.probability import log_evidence, RULE
+from jaxid.diagnosis.probability import log_evidence, normalised, RULE
 from jaxid.diagnosis.selection import in_lead, joint_loss
 from jaxid.diagnosis.torque.weigh import LARGEST, TOGETHER
 from jaxid.diagnosis.verdict import judge, level
@@ -162,7 +162,7 @@ class Decider:
                 tried.append(self.refit(own, theta, nominal.path))
         good = [h for h in tried if np.isfinite(joint_loss(h)) and self.gained(nominal, h) > 0]
         chosen = max(good, key=lambda h: self.gained(nominal, h), default=nominal)
-        self.told_of_losers(chosen, tried)
+        self.compared(chosen, tried)
         if chosen.effects:
             chosen = self.reweighed(chosen)
         chosen = self.thinned(nominal, chosen, tried)
@@ -237,6 +237,19 @@ class Decider:
         self.asked = frozenset()
         return search
 
+    def believed(self, search: SearchResult) -> SearchResult:
+        """What columns told of effects beside what was chosen is refuted where that is at the
+        noise.
+        """
+        if search.belief is None or not self.at_noise(search.chosen):
+            return search
+        belief = search.belief.at_the_noise(self.sure)
+        possible = {place[:2] for place in belief.possible(RULE.possible)}
+        for family in belief.families:
+            possible |= {(effect, family.location) for effect in family.effects}
+        alike = [c for c in search.confusable if (c.effect, c.location) in possible]
+        return replace(search, belief=belief, confusable=alike)
+
     def certain(self, effects: Sequence[Candidate]) -> dict[tuple[str, str], float]:
         """How probable simulations make each of some effects."""
         places = [(c.effect, c.location) for c in effects]
@@ -252,18 +265,35 @@ class Decider:
                 allowed[split] += moved
         return all(left[split] <= allowed[split] for split in left)
 
-    def told_of_losers(self, won: Hypothesis, tried: Sequence[Hypothesis]) -> None:
-        """Effects of sets that lost are as probable as the best of these against the one that won,
-        and no more.
+    def compared(self, won: Hypothesis, tried: Sequence[Hypothesis]) -> None:
+        """How probable effects are, of the set that won and of all others that were simulated
+        beside it.
         """
-        lost: dict[tuple[str, str], float] = {}
-        for h in tried:
-            p = _probability(np.nan_to_num(self.gained(won, h), nan=-LARGEST))
+        every = [won, *(h for h in tried if h is not won)]
+        gained = np.array([self.gained(won, h) for h in every])
+        weights = normalised(np.nan_to_num(gained, nan=-LARGEST))
+        found: dict[tuple[str, str], float] = {}
+        for h, weight in zip(every, weights.tolist(), strict=True):
             for c in h.effects:
                 place = c.effect, c.location
-                lost[place] = max(lost.get(place, 0.0), p)
-        standing = {(c.effect, c.location) for c in won.effects}
-        self.sure |= {place: p for place, p in lost.items() if place not in standing}
+                found[place] = found.get(place, 0.0) + weight
+        self.sure |= {place: min(p, 1.0) for place, p in found.items()}
+
+    def rivals(self, chosen: Hypothesis, tried: Sequence[Hypothesis]) -> list[Candidate]:
+        """Effects of other sets that are possible in the place of those that are chosen."""
+        every: dict[Candidate, None] = {}
+        for h in tried:
+            every |= dict.fromkeys(h.effects)
+        others = [c for c in every if c not in chosen.effects]
+        return [c for c in others if self.sure.get((c.effect, c.location), 0.0) >= RULE.possible]
+
+    def claimed(self, c: Candidate, rivals: Sequence[Candidate]) -> bool:
+        """Whether an effect or one of its rivals at its place is as probable as a claim has to
+        be.
+        """
+        own = {(e.effect, e.location) for e in rivals if e.location == c.location}
+        together = sum(self.sure[place] for place in own | {(c.effect, c.location)})
+        return together >= RULE.sure
 
     def thinned(
         self, nominal: Hypothesis, chosen: Hypothesis, tried: list[Hypothesis]
@@ -284,7 +314,8 @@ class Decider:
                 tried.append(less)
             if not left or less is not nominal:
                 gained = self.gained(less, chosen, self._joints(c))
-            self.sure[c.effect, c.location] = _probability(gained)
+            place = c.effect, c.location
+            self.sure[place] = min(_probability(gained), self.sure.get(place, 1.0))
             if gained < least:
                 chosen = less
         return chosen

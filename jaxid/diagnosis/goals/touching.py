@@ -1,4 +1,5 @@
-"""Single changes of a robot's file whose runs touch, by simulation.
+"""Single changes of a robot by simulation: of its file where runs touch, of a model where columns
+show nothing.
 
 Columns along a motion know nothing of the forces of the ground. Every number and every effect is
 therefore simulated at a few sizes, with all else as stated, and ranked by what it leaves once the
@@ -25,12 +26,13 @@ from jaxid.fitting.secant import simulated
 from jaxid.fitting.wide_slopes import WideDescent
 from jaxid.problem.binding import Binding
 from jaxid.problem.residual import OutputError
+from jaxid.simulation.sample_buffers import step_count
 
 
 #: Sizes of a number that are tried, in its standard deviations or typical changes.
 OF_NUMBERS = (-8.0, -2.0, -0.5, 0.5, 2.0, 8.0)
 #: Sizes of an effect that are tried, as shares of its probes.
-OF_EFFECTS = (1.0, 0.25)
+OF_EFFECTS = (1.0, 0.25, -1.0, -0.25)
 #: Shares of the best size of each change that are tried next.
 NEARBY = (0.35, 0.5, 0.7, 0.85, 1.2, 1.5, 2.0, 3.0)
 #: Changes whose sizes are tried more closely.
@@ -39,6 +41,8 @@ LOOKED_AT = 16
 FAR = 10.0
 #: Simulations whose runs are kept at a time.
 AT_ONCE = 256
+#: Steps of all runs beyond which every effect is not simulated: minutes.
+LONG = 1.2e7
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +114,30 @@ def _in_wide(wide: Binding, plain: Binding, theta: np.ndarray) -> np.ndarray:
     return out
 
 
+def effects_by_runs(
+    bench: ProblemBuilder,
+    plain: Binding,
+    kinds: Sequence[type[Effect]],
+    theta: np.ndarray,
+    free: Sequence[int],
+    starts: np.ndarray,
+) -> list[Proposal]:
+    """The same of runs that do not touch, beside a model that stands: its numbers `theta` and those
+    that are `free` in the bench, and how its fit runs begin. Each effect is simulated at one size,
+    and goes on in that which leaves least to first order. None where that takes too long.
+    """
+    wide = bench.binding
+    trials = list(_of_effects(wide, kinds, theta, (1.0,)))
+    steps = sum(step_count(e, bench.step) for e in wide.experiments("fit"))
+    if steps * len(trials) > LONG:
+        return []
+    judge = _Judge(bench, theta, free, starts)
+    near = judge.nearest(judge.aimed(trials)[:LOOKED_AT])
+    own = theta[[wide.layout.index(name) for name in plain.layout.names]]
+    retuned = replace(plain, theta=own)
+    return [_difference(wide, retuned, trial).proposal for trial in near[:FIRST]]
+
+
 class _Judge:
     """What changes leave of the fit runs, with starts and `free` numbers that move to first
     order.
@@ -139,9 +167,34 @@ class _Judge:
         """
         if not np.isfinite(residual).all():
             return np.inf
-        every = np.concatenate([residual, self.known])
-        rest = every - self.basis @ (self.basis.T @ every)
+        rest = self._rest(np.concatenate([residual, self.known]))
         return float(rest @ rest)
+
+    def _rest(self, every: np.ndarray) -> np.ndarray:
+        """What starts and numbers do not take away."""
+        return every - self.basis @ (self.basis.T @ every)
+
+    def aimed(self, trials: Sequence[Trial]) -> list[Trial]:
+        """Each change in the size that leaves least to first order in it, least left first."""
+        (plain,) = simulated(self.problem, [trials[0].stated], [self.starts])
+        known = np.zeros_like(self.known)
+        before = self._rest(np.concatenate([plain, self.known]))
+        lower, upper = self.bounds
+        found: dict[tuple[object, ...], tuple[float, Trial]] = {}
+        for trial, residual in self._simulated(trials):
+            if not np.isfinite(residual).all():
+                continue
+            moved = self._rest(np.concatenate([residual - plain, known]))
+            share = 1.0
+            if trial.strengths:
+                share = float(-(moved @ before) / max(moved @ moved, 1e-300))
+                two_sided = np.any(lower[list(trial.strengths)] < 0)
+                share = share if two_sided else max(share, 0.0)
+            after = before + share * moved
+            cost = float(after @ after)
+            if cost < found.get(trial.place, (np.inf,))[0]:
+                found[trial.place] = cost, trial.scaled(share, lower, upper)
+        return [trial for _, trial in sorted(found.values(), key=lambda pair: pair[0])]
 
     def nearest(self, trials: Sequence[Trial]) -> list[Trial]:
         """Each change in its best size, least left first; none that leaves far more than the
@@ -157,15 +210,19 @@ class _Judge:
     def _best(self, trials: Sequence[Trial]) -> list[tuple[float, Trial]]:
         """The best size of each change, and what it leaves; least first."""
         found: dict[tuple[object, ...], tuple[float, Trial]] = {}
+        for trial, residual in self._simulated(trials):
+            cost = self.left(residual)
+            if cost < found.get(trial.place, (np.inf,))[0]:
+                found[trial.place] = cost, trial
+        return sorted(found.values(), key=lambda pair: pair[0])
+
+    def _simulated(self, trials: Sequence[Trial]) -> Iterator[tuple[Trial, np.ndarray]]:
+        """Each trial with its residual."""
         for begin in range(0, len(trials), AT_ONCE):
             part = trials[begin : begin + AT_ONCE]
             thetas = [trial.theta for trial in part]
             residuals = simulated(self.problem, thetas, [self.starts] * len(part))
-            for trial, residual in zip(part, residuals, strict=True):
-                cost = self.left(residual)
-                if cost < found.get(trial.place, (np.inf,))[0]:
-                    found[trial.place] = cost, trial
-        return sorted(found.values(), key=lambda pair: pair[0])
+            yield from zip(part, residuals, strict=True)
 
 
 def _of_numbers(wide: Binding, plain: Binding, stated: np.ndarray) -> Iterator[Trial]:
@@ -184,12 +241,15 @@ def _of_numbers(wide: Binding, plain: Binding, stated: np.ndarray) -> Iterator[T
 
 
 def _of_effects(
-    wide: Binding, kinds: Sequence[type[Effect]], stated: np.ndarray
+    wide: Binding,
+    kinds: Sequence[type[Effect]],
+    stated: np.ndarray,
+    sizes: Sequence[float] = OF_EFFECTS,
 ) -> Iterator[Trial]:
-    """Each effect at each place, and at all of them at once, at its probes."""
+    """Each effect at each place, and at all of them at once, at its probes in several sizes."""
     for kind in kinds:
         places = wide.chain.offers(kind)
-        each = [_at_place(wide, kind, k, place, stated) for k, place in enumerate(places)]
+        each = [_at_place(wide, kind, k, place, stated, sizes) for k, place in enumerate(places)]
         for trials in each:
             yield from trials
         if len(places) > 1:
@@ -198,7 +258,12 @@ def _of_effects(
 
 
 def _at_place(
-    wide: Binding, kind: type[Effect], k: int, place: str, stated: np.ndarray
+    wide: Binding,
+    kind: type[Effect],
+    k: int,
+    place: str,
+    stated: np.ndarray,
+    sizes: Sequence[float],
 ) -> list[Trial]:
     out = []
     fields = specs(kind)
@@ -217,10 +282,9 @@ def _at_place(
             strengths=tuple(numbers[field] for field in strong),
             levels=tuple(numbers.values()) if is_level(kind) else (),
         )
-        signs = (1.0, -1.0) if two_sided else (1.0,)
-        shares = (1.0,) if is_level(kind) else OF_EFFECTS
-        for sign in signs:
-            out += [one.scaled(sign * share, wide.lower, wide.upper) for share in shares]
+        allowed = [size for size in sizes if size > 0 or two_sided]
+        shares = (1.0,) if is_level(kind) else allowed
+        out += [one.scaled(share, wide.lower, wide.upper) for share in shares]
     return out
 
 

@@ -195,6 +195,25 @@ def instead(weighed: Weighed, found: Sequence[TorqueClaim]) -> list[Unit]:
     return [u for place, u in units.items() if place not in claimed and not is_free(u)]
 
 
+def in_place_of(weighed: Weighed, units: Sequence[int]) -> dict[tuple[str, str], float]:
+    """How probable it is that an effect at a place acts and one of these units does not."""
+    every = weighed.scales.units
+    standing = {every[u].place for u in units}
+    found: dict[tuple[str, str], float] = {}
+    for asked in weighed.asked:
+        own = standing & {every[u].place for u in asked.units}
+        for s, weight in zip(asked.found.sets, asked.found.weights, strict=True):
+            places = {every[asked.units[k]].place for k in s}
+            for place in () if own <= places else places:
+                found[place] = found.get(place, 0.0) + float(weight)
+    for u in units:
+        for v, p in weighed.swaps.get(u, {}).items():
+            place = every[v].place
+            found[place] = max(found.get(place, 0.0), p)
+    others = [place for place in found if place[0] not in OVER and place not in standing]
+    return {place: min(found[place], 1.0) for place in others}
+
+
 def believed(
     weighed: Weighed,
     found: Sequence[TorqueClaim],

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from jaxid.base.errors import UsageError
 from jaxid.hardware.emulators.orders import EventLog, Orders
 from jaxid.hardware.emulators.plant import read_plant
-from jaxid.hardware.emulators.ur_arm import Arm, JOINTS, PLANT, SIZES, STEP, VARIABLES
+from jaxid.hardware.emulators.ur_arm import Arm, JOINTS, NOISE, PLANT, SIZES, STEP, VARIABLES
 from jaxid.hardware.ur.rtde import (
     CONTROLLER,
     DATA,
@@ -80,6 +80,8 @@ class Emulator:
             )
         self.log = EventLog(log)
         body, settings = read_plant(plant, JOINTS, PLANT)
+        if plant is None:
+            settings = {"noise": NOISE}
         self.arm = Arm(body, settings, self.log)
         self.arm.tick()
         self.host = host

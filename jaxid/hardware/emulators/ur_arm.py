@@ -33,6 +33,9 @@ PLANT: dict[str, tuple[float, ...]] = {
 }
 #: N m/A, of the size published for a UR10e by others (shamilmamedov/dynamic_calibration).
 DRIVE_GAIN = (10.0, 10.7, 8.5, 9.0, 9.5, 10.1)
+#: Of the sensors where no plant is given, rad and A: those of a UR10e at rest (recordings of
+#: shamilmamedov/dynamic_calibration: 1.8e-5 rad, 0.013 to 0.055 A).
+NOISE = {"q": 1.8e-5, "current": 0.03}
 CURRENT_LIMIT = (30.0, 30.0, 20.0, 8.0, 8.0, 8.0)  # A
 
 #: Numbers of the control script that ur_rtde 1.6 uploads (they belong to that version).

@@ -73,10 +73,10 @@ def write(
     if trial is None:
         out.notes.append(UNTRIED)
         return out
-    chosen, off = frozenset[str](), trial(out.files, path.name)
+    chosen, off = frozenset[str](), trial(out.files, path.name, out.rows)
     for joint in stick:
         more = patch(chosen | {joint})
-        off_then = trial(more.files, path.name)
+        off_then = trial(more.files, path.name, more.rows)
         if nearer(off_then, off):
             chosen, off, out = chosen | {joint}, off_then, more
     return out

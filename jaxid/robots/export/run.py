@@ -13,12 +13,13 @@ from jaxid.base.small_files import read_small, TooLarge
 from jaxid.base.wording import listed, number, stem_and_number
 from jaxid.robots.export import mjcf
 from jaxid.robots.export.apply import carried
+from jaxid.robots.export.code_beside import left_out
 from jaxid.robots.export.kept import kept
 from jaxid.robots.export.outcome import ExportOutcome, outcome, tables
 from jaxid.robots.export.ranges import ranges_of
 from jaxid.robots.export.sheet import of_tree, Sheet
 from jaxid.robots.export.stepped import shifted, stepped
-from jaxid.robots.export.target import ExportRow, joined, NEARER, Trial
+from jaxid.robots.export.target import ExportRow, joined, NEARER, Trial, Written
 from jaxid.robots.export.targets import TARGETS
 from jaxid.robots.floating import based
 from jaxid.robots.followers import led_as
@@ -86,7 +87,7 @@ def export(
         )
     if to == "mjcf" and patches and path is not None:
         written = mjcf.write(sheet, told, path, trial)
-        written.notes += _compared(written.files, path, trial)
+        written.notes += _compared(written, path, trial)
         written.rows = [_with_step(r, tree) for r in written.rows]
     else:
         written = target.write(sheet, told, path if patches else None)
@@ -123,11 +124,12 @@ def _with_step(row: ExportRow, tree: Tree | None) -> ExportRow:
     return replace(row, note=joined(row.note, f"holds for {tree.steps.said}"))
 
 
-def _compared(files: Mapping[str, str], path: Path, trial: Trial | None) -> list[str]:
+def _compared(written: Written, path: Path, trial: Trial | None) -> list[str]:
     """What a patch changes of the robot's run on the recording."""
-    if trial is None or path.name not in files:
+    if trial is None or path.name not in written.files:
         return []
-    now, before = trial(files, path.name), trial(mjcf.texts_of(path), path.name)
+    now = trial(written.files, path.name, written.rows)
+    before = trial(mjcf.texts_of(path), path.name, ())
     if now is None or before is None:
         return []
     moved = [j for j in now if abs(now[j] - before[j]) > NEARER * before[j]]
@@ -135,6 +137,9 @@ def _compared(files: Mapping[str, str], path: Path, trial: Trial | None) -> list
         return []
     course = listed(f"{j} {number(before[j])} → {number(now[j])}" for j in moved)
     said = f"in MuJoCo on the recording, rms error before and after (rad or m): {course}"
+    left = left_out(written.rows)
+    if left:
+        return [f"{said}; without {left}, which effects.py adds"]
     worse = [j for j in moved if now[j] > before[j]]
     if worse:
         said += f"; {listed(worse)} further off than before: do not take that over unseen"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -13,9 +13,10 @@ from jaxid.robots.export.outcome import AS_STATED
 from jaxid.robots.export.sheet import RobotChange, Sheet
 
 
-#: From the files of a patch (name -> text) and the name of the robot's among them to how far its
-#: run in a simulator is from the recording, rms by joint; None where it has no run.
-Trial = Callable[[Mapping[str, str], str], Mapping[str, float] | None]
+#: From the files of a patch (name -> text), the name of the robot's among them and the rows of what
+#: they carry to how far its run in a simulator is from the recording, rms by joint; None where it
+#: has no run.
+Trial = Callable[[Mapping[str, str], str, Sequence["ExportRow"]], Mapping[str, float] | None]
 #: By so much of its own size at one joint a run has to be nearer to a recording than another.
 NEARER = 0.01
 
@@ -56,6 +57,12 @@ class ExportRow:
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
+
+    @classmethod
+    def of(cls, entry: Mapping[str, Any]) -> ExportRow:
+        """A row as `to_dict` wrote it; what is missing is empty."""
+        words = ("effect", "location", "field", "unit", "how", "note")
+        return cls(value=entry.get("value"), **{word: str(entry.get(word) or "") for word in words})
 
 
 @dataclass
