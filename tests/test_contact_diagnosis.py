@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid.conventions import checking
 from jaxid.data.dataset import ModelSpec
-from jaxid.diagnosis.goals.touching import Trial
-from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
+from jaxid.diagnosis.goals.gains import with_room
+from jaxid.diagnosis.goals.touching import _of_numbers, Trial
+from jaxid.dynamics import catalogue
+from jaxid.fitting import problem_builder
+from jaxid.fitting.problem_builder import Begun, estimate_starts, ProblemBuilder
 from jaxid.models import Robot
 from jaxid.problem.binding import bind
 from jaxid.problem.residual import OutputError
@@ -83,6 +87,49 @@ def test_a_trial_changes_its_size_within_the_bounds():
     np.testing.assert_allclose(trial.scaled(4.0, low, high).theta, [1.0, 0.5, 80.0])
     moved = Trial(theta=np.array([1.3, 0.0, 1e12]), stated=stated, kind="number", strengths=(0,))
     np.testing.assert_allclose(moved.scaled(2.0, low, high).theta, [1.6, 0.0, 1e12])
+
+
+def test_numbers_of_one_kind_are_asked_together_too():
+    plain = with_room(bind(robot(), recorded(TEXT, 1.0)))
+    names = plain.layout.names
+    asked = set()
+    for trial in _of_numbers(plain, plain, plain.theta):
+        asked.add(tuple(names[i] for i in trial.strengths))
+        moved = np.flatnonzero(trial.theta != plain.theta)
+        assert set(moved) <= set(trial.strengths)
+    assert {("kp@hip",), ("kp@knee",), ("kp@hip", "kp@knee")} <= asked
+
+
+def test_the_ground_pushes_along_the_motion_so_the_model_is_not_asked_there(monkeypatch):
+    def refused(*_: object) -> None:
+        raise AssertionError("forces of the ground are not known along a motion")
+
+    monkeypatch.setattr(checking, "force_fit", refused)
+    jaxid.check(robot(), recorded(TEXT, 1.0))
+
+
+def test_how_runs_begin_is_taken_over_by_a_model_with_candidates(monkeypatch):
+    asked = []
+
+    def begun(bench: ProblemBuilder, split: str, theta: np.ndarray) -> Begun:
+        asked.append(theta)
+        return Begun(np.ones((1, 8)), [np.eye(8)])
+
+    monkeypatch.setattr(problem_builder, "_begun_touching", begun)
+    data = recorded(TEXT, 1.0)
+    plain = ProblemBuilder(bind(robot(), data), differences=1)
+    starts = estimate_starts(plain, "fit", [plain.binding.theta])
+    kinds = [catalogue.effect_class("input_delay")]
+    wide = ProblemBuilder(bind(robot(), data, candidates=kinds), differences=1)
+    wide.begin_as(plain)
+    taken = estimate_starts(wide, "fit", [wide.binding.theta])
+    np.testing.assert_array_equal(taken, starts)
+    assert len(asked) == 1
+    assert len(wide.binding.theta) > len(asked[0])
+    late = wide.binding.theta.copy()
+    late[-1] += 1e-3
+    estimate_starts(wide, "fit", [late])
+    assert len(asked) == 2
 
 
 @pytest.mark.slow

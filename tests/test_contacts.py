@@ -253,3 +253,31 @@ def test_a_slide_has_forces_and_a_hinge_torques():
         "torque at hip": "N m",
         "torque at knee": "N m",
     }
+
+
+def test_where_a_robot_of_two_limbs_touches_its_torques_tell_nothing():
+    joints = ("trunk", "left", "right")
+    arm = """<body name="{name}"><joint name="{name}" axis="0 1 0" damping=".1"/>
+      <inertial pos=".15 0 0" mass=".4" diaginertia=".002 .002 .002"/>
+      <geom type="sphere" size=".02" pos=".3 0 0"/></body>"""
+    arms = "".join(arm.format(name=name) for name in joints[1:])
+    drives = "".join(f'<position joint="{name}" kp="8" kv=".5"/>' for name in joints)
+    text = f"""<mujoco><compiler angle="radian"/><option timestep="0.002"/><worldbody>
+      <geom type="plane" size="1 1 .1" pos="0 0 -.1"/><body name="trunk">
+      <joint name="trunk" axis="0 0 1"/><inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/>
+      {arms}</body></worldbody><actuator>{drives}</actuator></mujoco>"""
+    t = np.arange(200) * STEP
+    q = np.stack([0.1 * np.sin(9 * t), 0.6 * t / t[-1], -0.1 * np.sin(5 * t) ** 2], 1)
+    data = jaxid.Dataset.from_arrays(
+        [t],
+        {f"{name}_cmd": [q[:, k]] for k, name in enumerate(joints)},
+        {name: [q[:, k]] for k, name in enumerate(joints)},
+        units=dict.fromkeys([*joints, *(f"{name}_cmd" for name in joints)], "rad"),
+        check_model=False,
+    )
+    data = replace(data, model=ModelSpec(contacts=True))
+    robot = Robot.from_mjcf("arms.xml", text=text)
+    mechanism = bind(robot, data, splits=False).chain.mechanism
+    first = int(np.argmax(0.3 * np.sin(q[:, 1]) >= 0.08))
+    told = mechanism.told_by_torque(q, 3)
+    np.testing.assert_array_equal(told, np.arange(len(t)) < first - 3)

@@ -265,9 +265,9 @@ def _by_model(
     free: FreeRuns | None,
 ) -> tuple[list[DataFinding], Dataset]:
     """What the model tells, confirmed by a simulation, applied."""
-    driven = bool(
-        binding.dataset.inputs
-    )  # along a free motion every reading fits with another scale
+    # Along a free motion every reading fits with another scale; where something touches, forces of
+    # the ground are not known along it.
+    driven = bool(binding.dataset.inputs) and not binding.chain.mechanism.touches
     many = len(binding.free) > MOST_NUMBERS
     motion = measured(binding, NEIGHBOURS) if driven and binding.free else None
     fit = None

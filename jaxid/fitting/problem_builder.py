@@ -11,7 +11,8 @@ import numpy as np
 from jaxid.base.errors import UsageError
 from jaxid.fitting.least_squares import levenberg_marquardt, Path
 from jaxid.fitting.scale_free import shrinking
-from jaxid.fitting.wide_slopes import descend_widely
+from jaxid.fitting.secant import residuals
+from jaxid.fitting.wide_slopes import descend_widely, SLIGHT
 from jaxid.problem.beginnings import NESTED
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
@@ -199,6 +200,17 @@ class ProblemBuilder:
             self._begun |= dict(zip(new, begun, strict=True))
         return [self._begun[key] for key in keys]
 
+    def begin_as(self, other: ProblemBuilder) -> None:
+        """Takes over how runs begin by models of another builder, whose candidates do nothing
+        here.
+        """
+        mine, names = self.binding.layout, other.binding.layout.names
+        at = [mine.index(name) for name in names]
+        for (split, numbers), begun in other._begun.items():
+            theta = self.binding.theta.copy()
+            theta[at] = np.frombuffer(numbers)
+            self._begun[split, theta.tobytes()] = begun
+
     def simulated(self) -> int:
         """Steps that were simulated so far, those of all candidates."""
         return sum(r.engine.simulated for r in self._runs.values() if r.setting is None)
@@ -309,6 +321,10 @@ def _begun(bench: ProblemBuilder, split: str, thetas: Sequence[np.ndarray]) -> l
 
 #: Rounds of a descent on one stretch of runs that touch.
 ROUNDS = 12
+#: A round for starts alone, on less than the whole of a run, that gains less is of no account.
+ROUGHLY = 1e-2
+#: Mean squares of noise differ from 1 by so many of their standard deviations at most.
+CHANCE = 4.0
 
 
 def touches(binding: Binding) -> bool:
@@ -340,13 +356,27 @@ def descend_over_stretches(
     """
     runs = bench.runs(OutputError(), split)
     starts, path, spent = None, None, 0
+    starts_alone = not len(free)
     for level in reversed(range(len(NESTED))):
         stretches = [runs.heads[run][level] for run in which]
         if level == 0:
             stretches = [runs.records[run] for run in which]
         p = bench.problem(OutputError(), split, free, theta, stretches)
-        path, simulated = descend_widely(p, p.z(theta, starts), ROUNDS)
+        z = p.z(theta, starts)
+        roughly = starts_alone and level > 0
+        if roughly and starts is not None:
+            spent += 1
+            if _followed(p, z):
+                continue
+        path, simulated = descend_widely(p, z, ROUNDS, ROUGHLY if roughly else SLIGHT)
         theta, starts = p.theta(path.z), p.starts(path.z)
         spent += simulated
     assert path is not None
     return path, spent
+
+
+def _followed(p: FitProblem, z: np.ndarray) -> bool:
+    """Whether a stretch is followed to its noise, within what chance makes of it."""
+    (left,) = residuals(p, [z])
+    with np.errstate(all="ignore"):
+        return bool(np.mean(left**2) <= 1 + CHANCE * np.sqrt(2 / left.size))

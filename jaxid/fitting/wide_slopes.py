@@ -154,9 +154,11 @@ def principal_directions(p: FitProblem, curvature: np.ndarray) -> np.ndarray:
     return p.scale[:, None] * vectors / np.sqrt(np.maximum(values, 1.0))
 
 
-def descend_widely(p: FitProblem, z: np.ndarray, rounds: int) -> tuple[Path, int]:
+def descend_widely(
+    p: FitProblem, z: np.ndarray, rounds: int, slight: float = SLIGHT
+) -> tuple[Path, int]:
     """A descent from z, and how many times the runs were simulated. Ends after so many rounds, or
-    where one of each width gains next to nothing.
+    where one of each width gains no more than the share `slight`.
     """
     descent = WideDescent(p, z)
     if not p.size:
@@ -167,7 +169,7 @@ def descend_widely(p: FitProblem, z: np.ndarray, rounds: int) -> tuple[Path, int
             break
         before = descent.squares
         gained = descent.step(WIDTHS[k % len(WIDTHS)])
-        idle = idle + 1 if gained <= SLIGHT * before else 0
+        idle = idle + 1 if gained <= slight * before else 0
         if idle == len(WIDTHS):
             break
     return descent.path(idle == len(WIDTHS)), descent.simulated

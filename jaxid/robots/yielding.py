@@ -89,8 +89,9 @@ class Yielding(Staged):
     def told_by_torque(self, q, beside):
         if self.ground is None:
             return super().told_by_torque(q, beside)
-        ground, ready = self.ground, cast(Yielding, self.prepare(None))
+        ground = self.ground
         with float64():
+            ready = cast(Yielding, self.prepare(None))
             least = jax.vmap(lambda x: jnp.min(distances_of(ground, ready.tree_pose(x))))(q)
         near = np.flatnonzero(np.asarray(least) <= 0)
         told = np.ones(len(q), bool)

@@ -206,8 +206,14 @@ def _touching(ask: GoalsQuestion, binding: Binding, seed: int, began: float) -> 
     run = run_of_file(bench)
     if run is None:
         raise UsageError(NO_RUN)
+
+    def begun_as(names: Sequence[str]) -> ProblemBuilder:
+        other = ask.made(ask.bound(names))
+        other.begin_as(bench)
+        return other
+
     every = [kind.name for kind in ask.kinds]
-    wide = ask.made(ask.bound(every))
+    wide = begun_as(every)
     say("the file's own run", 1, 1, f"changes, {len(every)} kinds of effects")
     stated = AsStated(bench, run, lambda: simulated_changes(wide, binding, ask.kinds))
     alone = kinds_of([change.proposal for change in stated.changes])
@@ -219,7 +225,7 @@ def _touching(ask: GoalsQuestion, binding: Binding, seed: int, began: float) -> 
         progress=ask.progress,
         other_way=False,
     )
-    stated.ask(lambda: ask.made(ask.bound(alone)), ask.progress)
+    stated.ask(lambda: begun_as(alone), ask.progress)
     if stated.explains:
         found, notes = _as_stated(ask, road, stated, alone, only=stated.moved)
     else:

@@ -25,7 +25,7 @@ from jaxid.fitting.problem_builder import (
     touches,
 )
 from jaxid.fitting.secant import descend_on_secants, Slopes
-from jaxid.fitting.wide_slopes import descend_widely
+from jaxid.fitting.wide_slopes import descend_widely, WIDTHS
 from jaxid.problem.binding import Binding
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import OutputError
@@ -73,8 +73,7 @@ class Decider:
         ]
         p = self.bench.problem(OutputError(), "fit", free, theta)
         if touches(self.bench.binding):
-            every = range(len(p.records))
-            path, spent = descend_over_stretches(self.bench, "fit", free, theta, every)
+            path, spent = self._touching(p)
         elif like is None:
             path, self.slopes, spent = descend_on_secants(p, [p.z(theta)], None, *NEAR)
         else:  # its own numbers, or those of the model that it is like
@@ -87,6 +86,14 @@ class Decider:
             )
         self.done, self.evaluations = self.done + 1, self.evaluations + spent
         return self._judged(effects, path)
+
+    def _touching(self, p: FitProblem) -> tuple[Path, int]:
+        """A descent on the fit runs that touch, and how often these were simulated."""
+        if p.free.size:
+            every = range(len(p.records))
+            return descend_over_stretches(self.bench, "fit", p.free, p.base, every)
+        starts = estimate_starts(self.bench, "fit", [p.base])[0]
+        return descend_widely(p, p.z(p.base, starts), len(WIDTHS))
 
     def polished(self, h: Hypothesis) -> Hypothesis:
         """The same from where its descent ended, with slopes of its own: those of another model
@@ -102,6 +109,8 @@ class Decider:
             path, _, spent = descend_on_secants(p, [z], None, *NEAR)
             return path, spent
         near, spent = descend_widely(p, z, TOUCHING)
+        if near.loss <= level(near.count):
+            return near, spent
         theta, every = p.theta(near.z), range(len(p.records))
         again, more = descend_over_stretches(self.bench, split, p.free, theta, every)
         return min(near, again, key=lambda path: path.cost), spent + more

@@ -226,9 +226,12 @@ class _Judge:
 
 
 def _of_numbers(wide: Binding, plain: Binding, stated: np.ndarray) -> Iterator[Trial]:
-    """Each number of the file or its law by itself."""
+    """Each number of the file or its law by itself, and those of one kind at all of their
+    places.
+    """
     loose = known_loosely(with_room(plain))
     gains = set(held_gains(plain))
+    alike: dict[str, list[Trial]] = {}
     for i in loose.free:
         own = wide.layout.index(loose.layout.names[i])
         size = loose.priors[i][1] if i in loose.priors else loose.scale[i]
@@ -236,8 +239,12 @@ def _of_numbers(wide: Binding, plain: Binding, stated: np.ndarray) -> Iterator[T
         theta = stated.copy()
         theta[own] += size
         one = Trial(theta=theta, stated=stated, kind=kind, strengths=(own,))
-        for share in OF_NUMBERS:
-            yield one.scaled(share, wide.lower, wide.upper)
+        alike.setdefault(loose.layout.names[i].partition("@")[0], []).append(one)
+    for each in alike.values():
+        together = [_at_all(each, stated)] if len(each) > 1 else []
+        for one in (*each, *together):
+            for share in OF_NUMBERS:
+                yield one.scaled(share, wide.lower, wide.upper)
 
 
 def _of_effects(
@@ -254,7 +261,7 @@ def _of_effects(
             yield from trials
         if len(places) > 1:
             for alike in zip(*each, strict=False):
-                yield _at_all(alike, stated)
+                yield replace(_at_all(alike, stated), kind="effects")
 
 
 def _at_place(
@@ -289,7 +296,7 @@ def _at_place(
 
 
 def _at_all(alike: Sequence[Trial], stated: np.ndarray) -> Trial:
-    """One effect of the same size at several places."""
+    """One change of the same size at several places."""
     theta = stated.copy()
     units: list[tuple[str, str, tuple[str, ...]]] = []
     strengths: list[int] = []
@@ -303,7 +310,7 @@ def _at_all(alike: Sequence[Trial], stated: np.ndarray) -> Trial:
     return Trial(
         theta=theta,
         stated=stated,
-        kind="effects",
+        kind=alike[0].kind,
         units=tuple(units),
         strengths=tuple(strengths),
         levels=tuple(levels),
