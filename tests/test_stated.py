@@ -116,6 +116,33 @@ def test_of_two_where_one_is_stated_as_nothing_both_ways_are_said():
     assert wrong.text.startswith("either ") and "the data do not tell which" in wrong.text
 
 
+def test_a_sum_that_the_data_do_not_tell_is_not_said():
+    """The data tell damping and twice kd; their sum, product, ratio and difference hardly."""
+    names = ("damping", "kd")
+    along = np.array([20.0, -10.0])
+    C = np.outer(along, along) + 0.01 * np.eye(2)
+    fitted, stated = (15.0, 190.0), (12.0, 200.0)
+    found, rows = {}, {}
+    for k, name in enumerate(names):
+        std = float(np.sqrt(C[k, k]))
+        found[k] = Estimate(fitted[k], std, "N m s/rad", -1000.0, 1000.0)
+        rows[k] = StatedNumber(
+            joint="axis",
+            link="",
+            parameter=name,
+            stated=stated[k],
+            fitted=fitted[k],
+            std=std,
+            deviation=(fitted[k] - stated[k]) / std,
+            text=f"{name}: …",
+            unit="N m s/rad",
+        )
+    (wrong,) = [s for s in judged(rows, names, found, Covariance(names, C)) if s.refuted]
+    assert wrong.text.startswith("either ")
+    assert wrong.std is not None and wrong.deviation is not None
+    assert abs(wrong.fitted - wrong.stated) > 3 * wrong.std
+
+
 def known(value, covariance, lower=-1e9, upper=1e9) -> BoundedEstimates:
     n = len(value)
     return BoundedEstimates(

@@ -72,12 +72,17 @@ class Measured(Protocol):
 CLOSE = 1e-4
 
 
+def unit_after(unit: str) -> str:
+    """A unit as it stands behind a number: " N m"; nothing where there is none, or it is 1."""
+    return "" if unit in ("", "1") else f" {one_line(unit)}"
+
+
 def value_with_std(estimate: Measured, unit: bool = True) -> str:
     """`0.0812 ± 0.0004 kg m^2`, rounded to two digits of the standard deviation; four digits where
     it is known better.
     """
     value, std = estimate.value, estimate.std
-    tail = f" {one_line(estimate.unit)}" if unit and estimate.unit not in ("", "1") else ""
+    tail = unit_after(estimate.unit) if unit else ""
     if std is None or not math.isfinite(std) or std <= 0 or not math.isfinite(value):
         return number(value) + tail
     if std < CLOSE * abs(value):

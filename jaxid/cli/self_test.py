@@ -207,7 +207,9 @@ def the_delay_is_named() -> Test:
     import jaxid
     from jaxid.dynamics.catalogue import effect_class, effect_names
 
-    asked = [name for name in effect_names() if effect_class(name).acts_on == "timing"]
+    joint = jaxid.Chain(jaxid.models.Joint())
+    kinds = [effect_class(name) for name in effect_names()]
+    asked = [k.name for k in kinds if k.acts_on == "timing" and joint.offers(k)]
     found = jaxid.diagnose("joint", twin(delay=DELAY), effects=asked, max_effects=1)
     delays = []
     for effect in found.which.effects:

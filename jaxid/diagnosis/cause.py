@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.base.wording import number, percent
+from jaxid.base.wording import number, percent, unit_after
 from jaxid.dynamics import catalogue
 
 
@@ -23,10 +23,8 @@ class Amount:
     """
 
     def __init__(self, estimate: Estimate):
-        self.value, self.unit = (
-            estimate.value,
-            "" if estimate.unit in ("", "1") else f" {estimate.unit}",
-        )
+        self.value = estimate.value
+        self.unit = unit_after(estimate.unit)
         known = abs(estimate.value) / estimate.std if estimate.std and estimate.value else 100.0
         self.digits = int(np.clip(round(np.log10(known)) + 1, 1, 4)) if np.isfinite(known) else 3
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.wording import unit_after
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.model_file import sha256_of
 from jaxid.fitting import result as results
@@ -211,7 +212,7 @@ def _of_numbers(
     for i, e in found.items():
         if e.at_bound:
             name = binding.layout.names[i]
-            notes.append(f"{name} ended at its bound ({e.value:.4g} {e.unit})")
+            notes.append(f"{name} ended at its bound ({e.value:.4g}{unit_after(e.unit)})")
     return [*notes, *binding.said, *(f"noise of {n.text}" for n in binding.noise.values())]
 
 

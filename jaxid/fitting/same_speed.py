@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxid.base.wording import number, value_with_std
+from jaxid.base.wording import number, unit_after, value_with_std
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.result import Estimate
 from jaxid.fitting.scores import free_runs
@@ -84,7 +84,7 @@ def _open(row: StatedNumber) -> StatedNumber:
 
 
 def _sum(row: StatedNumber, kd: float) -> StatedNumber:
-    unit = f" {row.unit}" if row.unit not in ("", "1") else ""
+    unit = unit_after(row.unit)
     whole = Estimate(kd + row.fitted, row.std, row.unit, 0.0, math.inf)
     text = (
         f"kd + damping of {row.joint}: {value_with_std(whole)}, stated {number(kd)} + "

@@ -8,7 +8,7 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.base.wording import listed, number, percent, value_with_std
+from jaxid.base.wording import listed, number, percent, unit_after, value_with_std
 from jaxid.numerics.stated_numbers import (
     apart,
     BoundedEstimates,
@@ -200,7 +200,7 @@ def _refuted(
     is not what was fitted.
     """
     value, std, deviation = float(change.value[k]), float(change.std[k]), change.deviation[k]
-    own = "" if estimate.unit in ("", "1") else f" {estimate.unit}"
+    own = unit_after(estimate.unit)
     off = f"{number(abs(deviation), 2)} standard deviations"
     if abs(value - row.fitted) > max(std, SHOWN * abs(row.fitted)):
         told = value_with_std(replace(estimate, value=value, std=std))
@@ -258,15 +258,18 @@ def _together(
     row = rows[0]
     told = map(int, np.flatnonzero(np.isfinite(stated)))
     kept = [i for i in told if i not in change.refuted and i != m]
-    if rows[0].unit != rows[1].unit and 0.0 in (stated[k], stated[m]):
-        return _either(rows, called, at, kept, known, stated, change)
     value, covariance, _ = known.beside(kept, stated[kept])
     pair = np.ix_([k, m], [k, m])
     form = min(
         _forms(value[[k, m]], stated[[k, m]], rows[0].unit == rows[1].unit),
         key=lambda f: float(f.slope @ covariance[pair] @ f.slope) / max(f.value**2, 1e-300),
+        default=None,
     )
+    if form is None:
+        return _either(rows, called, at, kept, known, stated, change)
     std = float(np.sqrt(max(form.slope @ covariance[pair] @ form.slope, 0.0)))
+    if abs(form.value - form.stated) <= REFUTED * std:
+        return _either(rows, called, at, kept, known, stated, change)
     deviation = change.deviation[k]
     name = f"{called[0]} {form.sign} {called[1]}"
     only = f"the data tell only the {form.name}, not which of the two differs"
@@ -279,7 +282,7 @@ def _together(
         )
     else:
         text = (
-            f"{name} is {number(form.value)} ± {number(std, 2)} {row.unit}, stated"
+            f"{name} is {number(form.value)} ± {number(std, 2)}{unit_after(row.unit)}, stated"
             f" {number(form.stated)} ({off}): {only}"
         )
     unit = row.unit if form.name in ("sum", "difference") else ""
@@ -306,8 +309,8 @@ def _either(
     stated: np.ndarray,
     change: SmallestChange,
 ) -> StatedNumber:
-    """Two numbers of which either may be wrong, where one of them is stated as 0: what each would be
-    with the other as stated.
+    """Two numbers of which either may be wrong, where the data do not tell what both come to: what
+    each would be with the other as stated.
     """
     k, m = at
     beside_m, spread_m, _ = known.beside([*kept, m], stated[[*kept, m]])
@@ -333,7 +336,7 @@ def _either(
 
 def _alone(called: str, value: float, std: float, row: StatedNumber) -> str:
     """What a number would be by itself, and as what it is stated."""
-    unit = "" if row.unit in ("", "1") else f" {row.unit}"
+    unit = unit_after(row.unit)
     return f"{called} is {number(value)} ± {number(std, 2)}{unit}, not {number(row.stated)}"
 
 
@@ -355,10 +358,7 @@ def _forms(value: np.ndarray, stated: np.ndarray, alike: bool) -> list[_Form]:
 
 def sentence_of(name: str, value: float, estimate: Estimate, deviation: float | None) -> str:
     """What the data say of one number as it is stated."""
-    own = (
-        f"your stated {name}"
-        f" {number(value)}{'' if estimate.unit in ('', '1') else ' ' + estimate.unit}"
-    )
+    own = f"your stated {name} {number(value)}{unit_after(estimate.unit)}"
     if deviation is None or not np.isfinite(deviation):
         return f"{own} can be neither confirmed nor refuted: the data do not determine it"
     off = number(abs(deviation), 2)

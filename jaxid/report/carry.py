@@ -128,7 +128,7 @@ def change(row: ExportRow) -> Change:
     """A line of the page."""
     name = f"{row.effect} at {row.location}" if row.location else row.effect
     before = [part.removeprefix(BEFORE) for part in _parts(row) if part.startswith(BEFORE)]
-    value = f"{_value(row.value)} {row.unit}".strip()
+    value = f"{_value(row.value)}{wording.unit_after(row.unit)}"
     return Change(name, _together(value), " ".join(before), row.field)
 
 

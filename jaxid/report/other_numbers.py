@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from jaxid.base.wording import listed, number, one_line
+from jaxid.base.wording import listed, number, one_line, unit_after
 
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def other_places(diagnosis: Diagnosis) -> tuple[str, list[str]]:
 
 
 def _clause(s: StatedNumber, verb: str = "is") -> str:
-    unit = "" if s.unit in ("", "1") else f" {one_line(s.unit)}"
+    unit = unit_after(s.unit)
     place = one_line(s.place)
     what = f"the {place}'s {_word(s)}" if place else _word(s)
     value = number(s.fitted if s.beside is None else s.beside, 3)

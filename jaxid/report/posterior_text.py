@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from jaxid.base.wording import number, paragraph, table
+from jaxid.base.wording import number, paragraph, table, unit_after
 
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ def posterior_lines(posterior: Posterior | None) -> list[str]:
     rows = []
     for name, m in posterior.parameters.items():
         low, high = m.interval_95
-        middle = f"{number(low, 4)} to {number(high, 4)} {m.unit}"
+        middle = f"{number(low, 4)} to {number(high, 4)}{unit_after(m.unit)}"
         effective = number(min(m.ess_bulk, m.ess_tail))
         rows.append((name, number(m.mean, 4), number(m.std), middle, number(m.r_hat), effective))
     titles = ("posterior of", "mean", "std", "middle 95 %", "R-hat", "effective draws")

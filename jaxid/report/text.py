@@ -17,6 +17,7 @@ from jaxid.base.wording import (
     short,
     table,
     times,
+    unit_after,
     value_with_std,
     wrapped,
 )
@@ -101,7 +102,7 @@ def _stated_beside_found(s: StatedNumber, every: Sequence[str]) -> str:
     if " " not in name and (s.link or every.count(name) > 1):
         name = s.text.partition(":")[0]
     best = s.fitted if s.beside is None else s.beside
-    unit = "" if s.unit in ("", "1") else f" {one_line(s.unit)}"
+    unit = unit_after(s.unit)
     return f"{one_line(name)} {number(s.stated)} → {number(best, 4)}{unit}"
 
 

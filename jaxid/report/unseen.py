@@ -26,10 +26,7 @@ def section(unseen: tuple[Unseen, ...]) -> Section | None:
 
 
 def size(unseen: Unseen) -> str:
-    def plain(unit):
-        return "" if unit == "1" else f" {unit}"
-
     return ", ".join(
-        f"{name} {wording.number(value)}{plain(unit)}"
+        f"{name} {wording.number(value)}{wording.unit_after(unit)}"
         for name, (value, unit) in unseen.parameters.items()
     )

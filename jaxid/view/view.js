@@ -54,6 +54,7 @@ function element(kind, text, more) {
 }
 
 async function begin() {
+  said.textContent = "Reading the results and simulating for the first time: half a minute, more on a busy computer …";
   about = await ask("about", {});
   const runs = element("select");
   about.runs.forEach((name, k) => runs.append(element("option", name, {value: k})));
