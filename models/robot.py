@@ -21,14 +21,14 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.mechanism import Signature
 from jaxid.dynamics.parameter import constant, param, ParameterSpec
 from jaxid.dynamics.rigid_body import Base, still
-from jaxid.robots import dynamics, free_numbers
+from jaxid.robots import dynamics, free_numbers, rods
 from jaxid.robots.bodies import beyond_ends, BODY, body_of, ten_numbers
 from jaxid.robots.channels import GRAVITY, PLACE, RIDE, signature_of, torque
 from jaxid.robots.coupled import carried, Coupled, coupled, gathered
 from jaxid.robots.file_step import FIELDS as SOFT
 from jaxid.robots.floating import balanced, based, without_slides
 from jaxid.robots.ground import friction_of, Ground, nameless_of, pose_of
-from jaxid.robots.tree import chain_of_rods, roll_pitch_yaw, StaticTree, Tree, up_to
+from jaxid.robots.tree import roll_pitch_yaw, StaticTree, Tree, up_to
 from jaxid.robots.yielding import Yielding
 
 from .effects import ActuatorLag, CoulombFriction, InputDelay, QuadraticDrag, ViscousFriction
@@ -197,7 +197,7 @@ class Robot(Yielding):
         """`simulator` "mujoco": steps are those that the tree's file asks MuJoCo for, where they
         are known and the base does not float. `ground`: what touches planes in such steps.
         """
-        tree = chain_of_rods(2, 0.3, 0.5) if tree is None else tree  # slender links in a plane
+        tree = rods.chain_of_rods(2, 0.3, 0.5) if tree is None else tree  # links in a plane
         leading = tree.leading
         S, _ = tree.follow()
         self.tree, self.floats = StaticTree(tree), tree.floats

@@ -126,9 +126,14 @@ class CubicSpring(JointEffect):
     signature: ClassVar[str] = "missing torque at the ends of travel, against the displacement"
     source: ClassVar[str] = "Duffing, 1918"
     excitation: ClassVar[str] = "slow motion over the whole travel, both ways"
-    coefficient: Array = param(0.0, -50 * TORQUE / ANGLE / ANGLE / ANGLE, 50 * TORQUE / ANGLE / ANGLE / ANGLE,
-                               scale=0.05 * TORQUE / ANGLE / ANGLE / ANGLE, unit="{F}/{X}^3")  # fmt: skip
-    probes: ClassVar = ({"coefficient": 0.1 * TORQUE / ANGLE / ANGLE / ANGLE},)
+    coefficient: Array = param(
+        0.0,
+        -50 * TORQUE / ANGLE**3,
+        50 * TORQUE / ANGLE**3,
+        scale=0.05 * TORQUE / ANGLE**3,
+        unit="{F}/{X}^3",
+    )
+    probes: ClassVar = ({"coefficient": 0.1 * TORQUE / ANGLE**3},)
 
     def start(self, q):  # state at the beginning of a run; () for none
         return ()
@@ -203,5 +208,5 @@ ax = comparison.plot()
 # %% [markdown]
 # ## Registration
 #
-# Move the class into a file of `models/`, `models/effects/` or `fitters/`, add it to the tuple in the `__init__.py` beside it, and
+# Move the class into a file of `models/`, `models/effects/` or `fitters/`, import it in the `__init__.py` beside it, and
 # run `make test ARGS="-k spring_cart"`. `jaxid models spring_cart` prints what stands above.

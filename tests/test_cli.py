@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -405,6 +406,13 @@ def test_import(monkeypatch, tmp_path, capsys):
         content["channels"] == {"force": "N", "position": "m"}
         and content["experiments"][0]["samples"] == 50
     )
+
+
+def test_help_of_import_names_every_kind():
+    from jaxid.cli.importing import import_, KINDS
+
+    words = re.findall(r"\w+", import_.help or "")
+    assert set(KINDS) <= set(words)
 
 
 @pytest.mark.parametrize("kind", ["models", "effects", "fitters"])

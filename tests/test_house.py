@@ -9,13 +9,13 @@ import measure_house
 
 #: The most that each may be. Lower a number when the code has become better; never raise one.
 LIMITS = {
-    measure_house.DENSITY: 22.8,
+    measure_house.DENSITY: 22.7,
     "fmt: skip": 14,
-    "lines over 100 columns": 97,
+    "lines over 100 columns": 96,
     "thresholds without a recorded case": 16,
-    "functions of more than 15 decisions": 14,
+    "functions of more than 15 decisions": 7,
     "calls with 8 or more positional arguments": 5,
-    "comprehensions with a loop or choice inside": 42,
+    "comprehensions with a loop or choice inside": 41,
     "named lambdas": 3,
     "class names in two or more modules": 0,
     "effect ids quoted": 3,

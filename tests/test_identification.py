@@ -8,6 +8,7 @@ import json
 import os
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from click.testing import CliRunner
 
 import jaxid
 from jaxid.cli.app import cli
+from jaxid.dynamics.base_parameters import standard_values
 from jaxid.dynamics.rigid_body import about_origin
 from jaxid.fitting.recursive_least_squares import ridge_rls
 from jaxid.identification.online import OnlineIdentification
@@ -727,3 +729,9 @@ def test_what_short_recordings_leave_open_stays_near_the_file():
     others = [rows["RunTrajectory1", f"q{k}"] for k in range(1, 8)]
     assert all(r["retuned"] < r["as_it_stands"] for r in others)
     assert sum(r["retuned"] < 0.5 * r["as_it_stands"] for r in others) >= 6
+
+
+@pytest.mark.parametrize("joint", [1, 9, 10, 12])
+def test_a_standard_parameter_is_that_of_its_own_joint(joint):
+    arm = SimpleNamespace(Ixx=np.arange(1.0, 13.0))
+    assert standard_values(arm, [f"Ixx{joint}"]) == [joint]

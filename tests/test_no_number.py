@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from jaxid.conventions import decide
+from jaxid.conventions.tried_readings import ReadingQuestion
 from jaxid.diagnosis import where
 from jaxid.diagnosis.budget import budget, closed
 from jaxid.diagnosis.goals.as_stated import Alone
@@ -337,17 +338,17 @@ def test_no_reading_is_claimed_by_what_is_no_number(bad):
 
     for worst, noise in ((bad, 0.01), (0.5, bad)):
         fit: Any = SimpleNamespace(least_noise=lambda *a, n=noise: n, driven=True)
-        told = decide._claimed(
+        asked = ReadingQuestion(
             binding=cast(Any, None),
             fit=fit,
             m=cast(Any, None),
             names=cast(Any, None),
             many=False,
-            plain=cast(Any, fitted(worst)),
+            recorded=cast(Any, fitted(worst)),
             beside=cast(Any, fitted(worst)),
             laws=False,
         )
-        assert told is None
+        assert decide._claimed(asked) is None
 
 
 @pytest.mark.parametrize("bad", NONE)

@@ -205,7 +205,6 @@ print(sum(n - before.get(t, 0) > 50 for t, n in switches().items()))
 LONG = {
     "jaxid/diagnosis/goals/study.py": 505,
     "jaxid/dynamics/chain.py": 530,
-    "jaxid/robots/export/mjcf.py": 564,
     "jaxid/study/papers/flexible_link.py": 553,
     "models/robot.py": 577,
 }

@@ -29,6 +29,12 @@ def names_of(things: Iterable[Any]) -> list[str]:
     return [thing.name for thing in things]
 
 
+def stem_and_number(name: str) -> tuple[str, str]:
+    """`Ixx12` as `Ixx` and `12`, which is empty where a name ends with no number."""
+    stem = name.rstrip("0123456789")
+    return stem, name[len(stem) :]
+
+
 def _visible(character: str) -> str:
     return "?" if unicodedata.category(character) in _INVISIBLE else character
 

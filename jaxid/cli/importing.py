@@ -66,7 +66,14 @@ RATE = click.option(
 )
 
 
-@click.command("import")
+HELP = f"""Convert a recording made by others.
+
+KIND: {", ".join(TABLES)} (tables, by --channel), {", ".join(IMPORTERS)}. Several files of one
+recording become one folder. What was recognised of a table is printed as the command that says it.
+"""
+
+
+@click.command("import", help=HELP)
 @click.argument("kind", metavar="KIND")
 @click.argument("files", type=click.Path(path_type=Path), metavar="FILE…", nargs=-1, required=True)
 @OUT
@@ -140,12 +147,6 @@ RATE = click.option(
 )
 @output_options
 def import_(kind, files, out, overwrite, as_json, quiet, **options) -> int:
-    """Convert a recording made by others.
-
-    KIND: csv, mat, npz, json, torch, tdms, parquet (tables, by --channel), rosbag, mcap, lerobot,
-    ur_rtde_csv, emps. Several files of one recording become one folder. What was recognised of a
-    table is printed as the command that says it.
-    """
     import jaxid
     from jaxid.base.errors import DatasetWarning, nearest
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from jaxid.base.errors import nearest, UsageError
 from jaxid.base.serialise import finite, SCHEMA
-from jaxid.base.wording import first_sentence, one_line, table
+from jaxid.base.wording import first_sentence, one_line, stem_and_number, table
 
 
 def find(kind: str, name: str | None) -> list[Any]:
@@ -90,8 +90,8 @@ def numbered(names: Sequence[str]) -> list[str]:
 
 def _is_next(name: str, before: str) -> bool:
     """Whether a name is that before it with the next number: `m2` behind `m1`."""
-    stem = before.rstrip("0123456789")
-    count, digits = before.removeprefix(stem), name.removeprefix(stem)
+    stem, count = stem_and_number(before)
+    digits = name.removeprefix(stem)
     return digits.isdecimal() and count != "" and int(digits) == int(count) + 1
 
 

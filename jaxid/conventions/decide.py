@@ -2,55 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from math import pi
 
 import numpy as np
 
-from jaxid.base.wording import listed, number
 from jaxid.conventions.equal_scales import (
-    far,
     Judged,
-    likeliest_scales,
-    of_many,
-    refuted_beside,
 )
 from jaxid.conventions.finding import DataFinding
-from jaxid.conventions.limits import ALIKE, ASKED, FLOOR, GONE, MISFIT, TOLD, WHOLE
-from jaxid.conventions.mending import exchange_lines, lines, Mending
+from jaxid.conventions.limits import ALIKE, ASKED, FLOOR, GONE, WHOLE
+from jaxid.conventions.mending import Mending
 from jaxid.conventions.missing_force import ForceFit, ReadingFit
+from jaxid.conventions.reading_size import known_beside, Size, size_of
+from jaxid.conventions.reading_words import doubt_of, headline, mending_lines, sentence
 from jaxid.conventions.readings import (
-    exchanges,
     FREE,
     GEAR,
     mending_of,
     Names,
-    nearest_convention,
-    nearest_factor,
-    offset_joint,
     Reading,
     refinement,
-    scale_of,
-    scales,
-    signs,
-    unmistakable,
-    zeros,
 )
 from jaxid.conventions.samples import Shown
 from jaxid.conventions.timing import timed, whole_rows_tell
+from jaxid.conventions.tried_readings import (
+    all_tried,
+    ranked,
+    RankedReadings,
+    ReadingQuestion,
+    unexplained,
+)
 from jaxid.conventions.unsigned import unsigned
 from jaxid.force.columns import FEW
 from jaxid.force.sampled_motion import SampledMotion
-from jaxid.numerics.pool import Pool
 from jaxid.numerics.stated_numbers import REFUTED
 from jaxid.problem.binding import Binding
 
 
 MOST = 4  # findings, one after another
-#: Channels, or sets of them, whose factor is sought beyond the values that it is looked for at.
-SOUGHT = 3
-_POOL = Pool("readings")
 
 
 def judged(
@@ -90,157 +80,124 @@ def _next(
     nothing explains of the whole is asked of what they leave.
     """
     plain, beside = fit.fit(m, False), fit.fit(m, True)
-    found = _claimed(binding, fit, m, names, many, plain, beside, laws=False)
+    asked = ReadingQuestion(
+        binding=binding,
+        fit=fit,
+        m=m,
+        names=names,
+        many=many,
+        recorded=plain,
+        beside=beside,
+        laws=False,
+    )
+    found = _claimed(asked)
     if found is not None and found[0].finding.decisive:
         return found
     if beside.worst + FLOOR <= GONE * (plain.worst + FLOOR):
-        less = _claimed(binding, fit, m, names, many, plain, beside, laws=True)
+        less = _claimed(replace(asked, recorded=beside, laws=True))
         if less is not None and (found is None or less[0].finding.decisive):
             return less
     return found or (None, None)
 
 
-def _claimed(
-    binding: Binding,
-    fit: ForceFit,
-    m: SampledMotion,
-    names: Names,
-    many: bool,
-    plain: ReadingFit,
-    beside: ReadingFit,
-    laws: bool,
-) -> tuple[Shown, SampledMotion | None] | None:
-    """What a reading explains of what is left of the motion as it is, `plain` or `beside` laws."""
-    recorded = beside if laws else plain
-    before = recorded.worst + FLOOR
-    few = m.thinned(FEW) if many else m
-    if not np.isfinite(before) or before <= 2 * FLOOR:
+def _claimed(asked: ReadingQuestion) -> tuple[Shown, SampledMotion | None] | None:
+    """What a reading explains of what is left of the motion."""
+    if not unexplained(asked):
         return None
-    if not before > ALIKE * (fit.least_noise(recorded, binding, few) + FLOOR):
+    tried = all_tried(asked)
+    if not tried or not tried[0].left <= GONE * asked.before:
         return None
-    tried: list[Judged] = []
-    hopeless = ALIKE * GONE * before
-    for readings, size in _readings(names, fit.driven):
-        # The nearest of the values that a size is looked for at may be some way from it.
-        own = _tried(fit, few, readings, before if size else hopeless, laws)
-        if size:
-            own = sorted(
-                [*own, *_sized(fit, few, own, names, hopeless, laws)], key=lambda t: t.left
-            )
-        if many:  # on all samples those that may come out on top
-            own = [t for t in own if t.left <= min(ALIKE**2 * own[0].left, hopeless)]
-            own = _tried(fit, m, [t.reading for t in own], hopeless, laws)
-        tried = sorted([*tried, *own], key=lambda t: t.left)
-        if tried and tried[0].left <= WHOLE * min(before, 1.0):  # most of a drive is no remainder
-            break
-    tried = [t for t in tried if np.isfinite(t.left)]
-    if not tried or not tried[0].left <= GONE * before:
-        return None
-    best = tried[0]
-    near = [t for t in tried[1:] if t.left <= ALIKE * best.left]
-    same = [t for t in near if t.reading.kind == best.reading.kind]
-    if best.reading.kind in ("sign", "swapped_channels"):
-        best, *same = _nearest_stated(fit, names, [best, *same])
-    if best.reading.kind == "scale":
-        best, *same = likeliest_scales(fit, names, [best, *same])
-    near = [t for t in tried if t is not best and t.left <= ALIKE * tried[0].left]
-    near = [t for t in near if not refuted_beside(fit, best, t)]
-    value, interval, what, stated_off = best.reading.value, None, best.reading.what, False
-    others = {t.reading.kind for t in near} - {best.reading.kind}
-    if best.reading.kind == "sign" and _rivals(fit, best, same):
-        others |= {"another channel"}
-    change = best.reading.change
-    if (refined := _refined(fit, m, best, names, near, before, laws)) is not None:
-        value, interval, what, change, conventional = refined
-        if (
-            not conventional and not laws
-        ):  # beside what the model lacks many sizes are alike; less what laws take, one is not
-            own = _tried(
-                fit,
-                m,
-                [t.reading for t in (best, *near) if t.reading.channels == best.reading.channels],
-                hopeless,
-                True,
-            )
-            near_own = [t for t in own[1:] if t.left <= ALIKE * own[0].left]
-            value, interval, what, change, conventional = (
-                _refined(fit, m, own[0], names, near_own, before, True) or refined
-            )
-        if not conventional:
+    found = ranked(asked, tried)
+    best = found.best
+    others = {t.reading.kind for t in found.near} - {best.reading.kind}
+    if best.reading.kind == "sign" and _rivals(asked.fit, best, found.same):
+        others.add("another channel")
+    size = Size(best.reading.value, None, best.reading.what, best.reading.change)
+    stated_off = False
+    if refinement(best.reading, asked.names) is not None:
+        size = size_of(asked, found)
+        if not size.conventional:
             return None
-        if what == FREE:
-            known = _known_beside(fit, m, best, names, value, before, laws)
-            value, what, change = known or (value, what, change)
-            stated_off = known is not None
-        others |= {"another channel" for t in same if t.reading.channels != best.reading.channels}
-    left = fit.fit(change(m), laws)
-    if not np.isfinite([value, left.worst, left.left]).all():
+        known = known_beside(asked, best, size) if size.what == FREE else None
+        size = known or size
+        stated_off = known is not None
+        if found.elsewhere:
+            others.add("another channel")
+    changed = size.change(asked.m)
+    left = asked.fit.fit(changed, asked.laws)
+    if not np.isfinite([size.value, left.worst, left.left]).all():
         return None
-    closes = max(best.left, left.worst + FLOOR) <= GONE * before  # with its known value, too
-    # Beside any law it has to be the whole answer: what has another cause goes some way by many a
-    # reading. It has to show in what is fitted, too: held-out motion alone tells how laws that the
-    # model lacks extrapolate.
-    closes &= ALIKE * (left.left + FLOOR) <= recorded.left + FLOOR
-    # What leaves as much as the whole drive explains nothing of it, but for a known slip beside
-    # numbers that are stated and off.
-    known = best.reading.kind == "scale" and what not in (FREE, GEAR)
-    if known and not laws and left.worst > 1.0:
-        stated_off = left.worst + FLOOR <= WHOLE * before
-    if not closes or (left.worst > (FLOOR if laws else 1.0) and not (stated_off and not laws)):
+    slip = best.reading.kind == "scale" and size.what not in (FREE, GEAR)
+    if slip and not asked.laws and left.worst > 1.0:
+        stated_off = left.worst + FLOOR <= WHOLE * asked.before
+    if not _closes(asked, best, left, stated_off):
         return None
-    beyond = laws or _beyond(fit, change(m), beside, left, what not in (FREE, GEAR))
-    if not beyond and left.worst + FLOOR > ASKED * before:
+    own_value = size.what not in (FREE, GEAR)
+    beyond = asked.laws or _beyond(asked.fit, changed, asked.beside, left, own_value)
+    if not beyond and left.worst + FLOOR > ASKED * asked.before:
         return None
     # A factor without a name, and one beside which stated numbers are off, may be those numbers'.
-    unnamed = what == FREE or stated_off or (what == GEAR and _bounded(binding))
-    decisive = beyond and not others and not unnamed
-    mending = mending_of(best.reading, value, {})
-    noise = max(fit.noise(left, binding, few), 1e-6)
-    alike = tuple(
-        dict.fromkeys(
-            (t.reading.kind, c)
-            for t in (near if others else same)
-            for c in t.reading.channels
-            if t.reading.kind != best.reading.kind or c not in best.reading.channels
-        )
-    )
-    finding = DataFinding(
-        kind=best.reading.kind,
-        channel=best.reading.channels[0],
-        value=value,
-        text=_words(
-            best.reading,
-            value,
-            what,
-            (before, left.worst + FLOOR),
-            _doubt(beyond, bool(others), unnamed),
-            laws,
-        ),
-        line=_line(binding, best.reading, mending),
-        interval_95=interval,
-        gap_before=recorded.worst / noise,
-        gap_if_mended=left.worst / noise,
-        decisive=decisive,
-        same_as=alike,
-        headline=_headline(best.reading, value, binding, what),
-    )
-    return Shown(finding, mending if decisive else Mending(), laws), (
-        change(m) if decisive else None
-    )
+    gear = size.what == GEAR and _bounded(asked.binding)
+    unnamed = size.what == FREE or stated_off or gear
+    doubt = doubt_of(beyond, bool(others), unnamed)
+    shown = _shown(asked, found, size, left, doubt, bool(others))
+    return shown, changed if shown.finding.decisive else None
 
 
-def _nearest_stated(fit: ForceFit, names: Names, equals: list[Judged]) -> list[Judged]:
-    """Of equals first those that leave the model's numbers as they are stated: an angle and its
-    goal that both count the other way differ by the sign of the weight alone. Of these the one of
-    least channels, inputs before outputs (the order in which readings are made).
+def _closes(asked: ReadingQuestion, best: Judged, left: ReadingFit, stated_off: bool) -> bool:
+    """Whether a reading, with its known value too, closes the gap. Beside any law it has to be the
+    whole answer: what has another cause goes some way by many a reading. It has to show in what is
+    fitted, too: held-out motion alone tells how laws that the model lacks extrapolate. What leaves
+    as much as the whole drive explains nothing of it, but for a known slip beside numbers that are
+    stated and off.
     """
-    order = [r.channels for r in (*signs(names), *exchanges(names))]
+    if max(best.left, left.worst + FLOOR) > GONE * asked.before:
+        return False
+    shows = ALIKE * (left.left + FLOOR) <= asked.recorded.left + FLOOR
+    if not shows:
+        return False
+    if asked.laws:
+        return left.worst <= FLOOR
+    return left.worst <= 1.0 or stated_off
 
-    def rank(judged: Judged) -> tuple[bool, int, int]:
-        channels = judged.reading.channels
-        return fit.off_stated(judged.fitted) > REFUTED, len(channels), order.index(channels)
 
-    return sorted(equals, key=rank)
+def _shown(
+    asked: ReadingQuestion,
+    found: RankedReadings,
+    size: Size,
+    left: ReadingFit,
+    doubt: str,
+    others: bool,
+) -> Shown:
+    """The finding; decisive where nothing is doubtful."""
+    reading = found.best.reading
+    mending = mending_of(reading, size.value, {})
+    noise = max(asked.fit.noise(left, asked.binding, asked.few), 1e-6)
+    gap = asked.before, left.worst + FLOOR
+    finding = DataFinding(
+        kind=reading.kind,
+        channel=reading.channels[0],
+        value=size.value,
+        text=sentence(reading, size.value, size.what, gap, doubt, asked.laws),
+        line=mending_lines(asked.binding, reading, mending),
+        interval_95=size.interval,
+        gap_before=asked.recorded.worst / noise,
+        gap_if_mended=left.worst / noise,
+        decisive=not doubt,
+        same_as=_alike(reading, found.near if others else found.same),
+        headline=headline(reading, size.value, asked.binding, size.what),
+    )
+    return Shown(finding, Mending() if doubt else mending, asked.laws)
+
+
+def _alike(reading: Reading, others: list[Judged]) -> tuple[tuple[str, str], ...]:
+    """(kind, channel) of other readings that explain as much, each once."""
+    own = {(reading.kind, channel) for channel in reading.channels}
+    found: dict[tuple[str, str], None] = {}
+    for other in others:
+        for channel in other.reading.channels:
+            found[other.reading.kind, channel] = None
+    return tuple(pair for pair in found if pair not in own)
 
 
 def _rivals(fit: ForceFit, best: Judged, same: list[Judged]) -> list[Judged]:
@@ -274,183 +231,3 @@ def _beyond(
     return (known and left.worst + FLOOR <= ALIKE * own) or (
         left.worst + FLOOR <= own and beside <= GONE * own
     )
-
-
-def _tried(
-    fit: ForceFit, m: SampledMotion, readings: list[Reading], hopeless: float, laws: bool
-) -> list[Judged]:
-    """What readings of a motion leave, the least first; what is `hopeless` is given up."""
-    found = _POOL.map(lambda r: Judged(r, fit.fit(r.change(m), laws, hopeless=hopeless)), readings)
-    return sorted((t for t in found if np.isfinite(t.left)), key=lambda t: t.left)
-
-
-def _readings(names: Names, driven: bool) -> Iterator[tuple[list[Reading], bool]]:
-    """Those that a fault may be, the many last, and whether they are of a size that may be any."""
-    turned = [*signs(names), *exchanges(names)] if driven else []
-    yield [*turned, *zeros(names)], False
-    yield list(scales(names)), True
-
-
-def _sized(
-    fit: ForceFit, m: SampledMotion, tried: list[Judged], names: Names, hopeless: float, laws: bool
-) -> list[Judged]:
-    """The scales of the channels that come nearest, at the factor that leaves the least."""
-    nearest: dict[tuple[str, ...], Judged] = {}
-    for t in tried:
-        nearest.setdefault(t.reading.channels, t)
-    found = list(
-        _POOL.map(lambda t: _sought(fit, m, t, names, laws), list(nearest.values())[:SOUGHT])
-    )
-    return _tried(fit, m, found, hopeless, laws)
-
-
-def _sought(fit: ForceFit, m: SampledMotion, start: Judged, names: Names, laws: bool) -> Reading:
-    """The scale of these channels that leaves the least, from the one that they start at."""
-    refined = refinement(start.reading, names)
-    assert refined is not None
-    more, size = refined
-    fitted = fit.fit(m, laws, more=lambda x: more(m, x), size=1, begin=start.fitted.x)
-    return scale_of(names, start.reading.channels, size(float(fitted.x[len(fit.free)])))
-
-
-def _known_beside(
-    fit: ForceFit,
-    m: SampledMotion,
-    best: Judged,
-    names: Names,
-    value: float,
-    before: float,
-    laws: bool,
-) -> tuple[float, str, Callable[[SampledMotion], SampledMotion]] | None:
-    """A known factor next to a fitted one, of which stated numbers that are off take the rest; None
-    where there is none that takes most of the gap by itself.
-    """
-    factor, what = nearest_factor(value, names.factors(best.reading.channels[0]))
-    if abs(np.log(value / factor)) > MISFIT:
-        return None
-    change = _scaled(replace(best.reading, value=factor), names)
-    left = fit.fit(change(m), laws).worst + FLOOR
-    return (factor, what, change) if left <= ASKED * before else None
-
-
-def _refined(
-    fit: ForceFit,
-    m: SampledMotion,
-    best: Judged,
-    names: Names,
-    near: list[Judged],
-    before: float,
-    laws: bool,
-):
-    """Size with interval, words, change, and whether it is a convention's own value; None for what
-    has no size. A known factor is one where it leaves as little as any other and none of those that
-    come `near` is far from it.
-    """
-    found = refinement(best.reading, names)
-    if found is None:
-        return None
-    more, size = found
-    fitted = fit.fit(m, laws, more=lambda x: more(m, x), size=1, begin=best.fitted.x)
-    x = float(fitted.x[len(fit.free)])
-    moved = replace(m)
-    _, std = fit.spread(fitted, moved, len(fit.free))
-    value = size(x)
-    ends = (size(x - 1.96 * std), size(x + 1.96 * std)) if std < TOLD else None
-    travel = float(np.max(np.ptp(m.q, axis=0)))
-    if best.reading.kind == "zero":
-        travel = float(np.ptp(m.q[:, names.joints.index(best.reading.channels[0])]))
-    if best.reading.kind == "scale":
-        known = names.factors(best.reading.channels[0])
-        factor, what = nearest_factor(value, known)
-        own, name = nearest_factor(best.reading.value, known)
-        # Which is all of the answer, and no other size leaves less.
-        if abs(np.log(best.reading.value / own)) < 1e-3 and best.left <= min(
-            WHOLE * before, fitted.worst + FLOOR
-        ):
-            factor, what, value = own, name, own
-            ends = ends if ends is not None and ends[0] <= own <= ends[1] else None
-        change = _scaled(replace(best.reading, value=factor), names)
-        alike = unmistakable(value, std, known)
-        alike = alike and fit.fit(change(m), laws).worst + FLOOR <= ALIKE * (fitted.worst + FLOOR)
-        if alike and not far(best, near, factor):
-            return factor, ends, what, change, True
-    known = names.factors(best.reading.channels[0])
-    own = nearest_convention(best.reading.kind, known, value, std, travel)
-    if best.reading.kind == "scale":
-        own = of_many(fit, m, best=best, near=near, names=names, value=value, own=own, laws=laws)
-    if own is None:
-        return value, ends, "", best.reading.change, False
-    value, what = own
-    if best.reading.kind == "zero":
-        j = names.joints.index(best.reading.channels[0])
-        return value, ends, what, (lambda m: offset_joint(m, j, -value)), True
-    return value, ends, what, _scaled(replace(best.reading, value=value), names), True
-
-
-def _scaled(reading: Reading, names: Names) -> Callable[[SampledMotion], SampledMotion]:
-    again = refinement(reading, names)
-    assert again is not None
-    return lambda m: again[0](m, np.zeros(1))
-
-
-def _line(binding: Binding, reading: Reading, mending: Mending) -> str:
-    if reading.kind == "swapped_channels":
-        return exchange_lines(binding.dataset, *reading.channels)
-    told = {c: lines(binding.dataset, c, mending.forms[c]) for c in reading.channels}
-    if len(told) == 1:
-        return "".join(told.values())
-    return "\n".join(f"{line}  # of {c}" for c, line in told.items())
-
-
-def _headline(reading: Reading, value: float, binding: Binding, what: str) -> str:
-    name = listed(reading.channels)
-    if reading.kind == "sign":
-        verb = "have" if len(reading.channels) > 1 else "has"
-        it = "them" if len(reading.channels) > 1 else "it"
-        return f"{name} {verb} the opposite sign; everything below takes {it} negated"
-    if reading.kind == "swapped_channels":
-        return f"{name} are exchanged; everything below takes each for the other"
-    if reading.kind == "zero":
-        return f"the zero of {name} is off by {_angle(value)}; everything below takes that away"
-    too = f"{_are(reading)} {value:.5g} times too large ({what})"
-    return f"{name} {too}; everything below divides by that"
-
-
-def _are(reading: Reading) -> str:
-    """The verb of its channels."""
-    return "are" if len(reading.channels) > 1 else "is"
-
-
-def _angle(value: float) -> str:
-    return f"{value:.4f} rad ({np.degrees(value):.4g} deg)"
-
-
-def _words(
-    reading: Reading, value: float, what: str, gap: tuple[float, float], doubt: str, laws: bool
-) -> str:
-    name = listed(reading.channels)
-    model = "the model, beside any friction and spring that it may lack," if laws else "the model"
-    before, after = (number(100 * share, 2) for share in gap)
-    of = f"{model} leaves {before} % of the drive as recorded and {after} % so"
-    if reading.kind == "sign":
-        said = f"{name} seem{'s' * (len(reading.channels) == 1)} to count the other way"
-    elif reading.kind == "swapped_channels":
-        said = f"{name} seem to be exchanged"
-    elif reading.kind == "zero":
-        turns = (
-            f", {abs(value) / (pi / 2):.0f} quarter turn{'s' * (abs(value) > 2)}"
-            if "quarter" in what
-            else ""
-        )
-        said = f"{name} reads {_angle(value)} where its zero should be{turns}"
-    else:
-        said = f"{name} {_are(reading)} recorded {value:.5g} times as large as in truth ({what})"
-    return f"Is it that {said}? {of[0].upper()}{of[1:]}; {doubt}." if doubt else f"{said}: {of}."
-
-
-def _doubt(beyond: bool, others: bool, unnamed: bool) -> str:
-    if not beyond:
-        return "friction or a spring that the model lacks explains as much"
-    if others:
-        return "other readings come near"
-    return "stated numbers of the model that are off as well may be part of it" if unnamed else ""

@@ -236,51 +236,72 @@ def _rows_and_clocks(
     """Whole rows and drifting clocks, where they close a share of what is missing: a load that is
     lost half-way looks late too.
     """
-    plain, recorded = fit.fit(m), m
+    plain = fit.fit(m)
+    shown = False
+    if plain.worst > GONE or not names.inputs:  # what is missing is something else
+        drifting = _far_drift(fit, m, plain)
+        if drifting is None:
+            return
+        m, shown = drifting, True
+    times = _OtherTimes(binding, fit, m, plain.worst, shown)
+    late, common, drift = _told(fit, m)
+    if drift is not None and times.may_drift(drift[0]) and times.grows(late, common, drift[0]):
+        yield _clock(binding, m, names, *drift)
+        return
+    for k, x in enumerate(late):
+        rows, std = common or (x.rows, x.std)
+        if not _is_whole(rows, std):
+            continue
+        whole = round(rows)
+        # A cause that comes early is a question at most.
+        if whole < 0 or times.close(replace(m, rows=m.rows + whole), plain.worst):
+            yield _shifted(binding, names, k, whole, rows, std)
 
-    def closes(moved: SampledMotion, before: float = plain.worst) -> bool:
-        """What is left is much less, or noise; a drift without which nothing fits has shown it."""
-        left = fit.fit(moved)
-        return m is not recorded or left.worst <= max(
-            GONE * before, ALIKE * fit.noise(left, binding, moved)
-        )
 
-    def grows(late: list[Late], drift: float) -> bool:
-        """The same for a drift, beside what is late all the time and may be a delay."""
+@dataclass(frozen=True)
+class _OtherTimes:
+    """What a motion leaves where its inputs have other times. `shown`: nothing fits without the
+    drift that it has, which has shown it.
+    """
+
+    binding: Binding
+    fit: ForceFit
+    m: SampledMotion
+    plain: float
+    shown: bool
+
+    def close(self, moved: SampledMotion, before: float) -> bool:
+        """Whether what is left is much less, or noise."""
+        if self.shown:
+            return True
+        left = self.fit.fit(moved)
+        noise = self.fit.noise(left, self.binding, moved)
+        return left.worst <= max(GONE * before, ALIKE * noise)
+
+    def may_drift(self, drift: float) -> bool:
+        """Whether a drift is one that shows within the recording, and a clock may have."""
+        return DRIFT * self.m.step < abs(drift) * float(self.m.since.max()) and abs(drift) < 0.015
+
+    def grows(self, late: list[Late], common: Told, drift: float) -> bool:
+        """Whether a drift closes what is missing, beside what is late all the time (`common`) and
+        may be a delay.
+        """
+        m = self.m
         drifts = drift * np.ones(len(late))
         if common is None:
-            return closes(replace(m, drift=drifts))
+            return self.close(replace(m, drift=drifts), self.plain)
         rows = np.array([x.rows for x in late])
-        without = replace(m, rows=rows + drift * float(m.since.mean()) / m.step, drift=0 * drifts)
-        return closes(replace(m, rows=rows, drift=drifts), fit.fit(without).worst)
+        delayed = rows + drift * float(m.since.mean()) / m.step
+        without = self.fit.fit(replace(m, rows=delayed, drift=0 * drifts))
+        return self.close(replace(m, rows=rows, drift=drifts), without.worst)
 
-    if plain.worst > GONE or not names.inputs:  # what is missing is something else
-        if (drifting := _far_drift(fit, m, plain)) is None:
-            return
-        m = drifting
-    late, common, drifting = _told(fit, m)
-    if (
-        drifting is not None
-        and DRIFT * m.step < abs(drifting[0]) * float(m.since.max())
-        and abs(drifting[0]) < 0.015
-    ):
-        if grows(late, drifting[0]):
-            yield _clock(binding, m, names, *drifting)
-            return
-    for k, x in enumerate(late):
-        rows, std = common if common is not None else (x.rows, x.std)
-        whole = round(rows)
-        if (
-            whole
-            and abs(whole) <= 3
-            and std <= KNOWN
-            and abs(rows - whole) <= CLOSE
-            and abs(rows) > SURE * std
-        ):
-            if whole < 0 or closes(
-                replace(m, rows=m.rows + whole)
-            ):  # a cause that comes early is a question at most
-                yield _shifted(binding, names, k, whole, rows, std)
+
+def _is_whole(rows: float, std: float) -> bool:
+    """Whether a lateness is a few whole rows, and known well enough for that."""
+    whole = round(rows)
+    if not 0 < abs(whole) <= 3:
+        return False
+    return std <= KNOWN and abs(rows - whole) <= CLOSE and abs(rows) > SURE * std
 
 
 Told = tuple[float, float] | None

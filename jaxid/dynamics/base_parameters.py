@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.wording import stem_and_number
 from jaxid.dynamics.kinematics import free_fall, placements
 from jaxid.dynamics.rigid_body import chain_of, INERTIA, inverse_dynamics, regressor, still
 
@@ -93,6 +94,15 @@ def _symbolic(k: float, symbols: dict[str, float]) -> str:
         if abs(value - k) < 1e-9 * max(1.0, k):
             return text
     return "2" if abs(k - 2) < 1e-9 else f"{k:.6g}"
+
+
+def standard_values(arm: Any, names: Sequence[str]) -> np.ndarray:
+    """What the model of an arm has of standard parameters such as `Ixx3`, [names]."""
+    values = []
+    for name in names:
+        kind, joint = stem_and_number(name)
+        values.append(float(np.asarray(getattr(arm, kind))[int(joint) - 1]))
+    return np.array(values)
 
 
 def standard_names(n: int) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.base.errors import UsageError
+from jaxid.base.wording import stem_and_number
 from jaxid.data.dataset import Channel, Dataset, Experiment, ModelSpec
 from jaxid.data.limits import Limits
 from jaxid.dynamics.chain import Chain
@@ -219,7 +220,9 @@ def _current(name: str, place: int, count: int) -> str:
     """`tau2` is commanded as `current2_cmd`, `tau` as `current_cmd`. The torques of a robot's
     joints, which have names, are numbered by their place.
     """
-    number = name[len(name.rstrip("0123456789")) :] if name.startswith("tau") else ""
+    number = ""
+    if name.startswith("tau"):
+        _, number = stem_and_number(name)
     if not number and count > 1:
         number = str(place + 1)
     return f"current{number}_cmd"

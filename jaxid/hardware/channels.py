@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from jaxid.base.errors import UsageError
+from jaxid.base.wording import stem_and_number
 from jaxid.data.dataset import Geometry
 from jaxid.hardware.recorder import Column
 
@@ -107,8 +108,7 @@ def _serve(
     """The channel entry for one name of a model's signature and its column; or a sentence and
     None.
     """
-    stem = name.rstrip("0123456789")
-    number = name[len(stem) :]
+    stem, number = stem_and_number(name)
     place = number or ("" if joint is None else str(joint))
     # `q_cmd` of a model is q3_cmd of joint 3.
     base, _, tail = stem.partition("_")

@@ -12,6 +12,7 @@ import numpy as np
 from jaxid.base.display import Displayed
 from jaxid.base.serialise import plain, SCHEMA
 from jaxid.base.versions import versions
+from jaxid.base.wording import stem_and_number
 from jaxid.conventions.finding import as_data, DataFinding
 from jaxid.fitting.exportable import Exportable
 from jaxid.identification.payload import PayloadEstimate
@@ -129,9 +130,10 @@ class Identification(Displayed, Exportable):
         out: list[dict[str, Any]] = [{"joint": name} for name in self.labels]
         for i in range(self.base_count, len(self.names)):
             j = (i - self.base_count) % n
-            out[j][
-                self.names[i].rstrip("0123456789") if not self.names[i].startswith("F_3") else "F_3"
-            ] = {
+            kind, _ = stem_and_number(self.names[i])
+            if self.names[i].startswith("F_3"):
+                kind = "F_3"
+            out[j][kind] = {
                 "value": self.theta[i],
                 "std": std[i],
                 "unit": self.units[i],

@@ -15,6 +15,7 @@ import numpy as np
 from jaxid.base.deadline import answered_in_time, search_is_over
 from jaxid.base.errors import nearest, UsageError
 from jaxid.base.progress import Callback, tell, telling
+from jaxid.base.wording import stem_and_number
 from jaxid.conventions.checking import run_check
 from jaxid.data.capacity import need, refuse_too_large
 from jaxid.data.dataset import Dataset
@@ -425,12 +426,16 @@ def _choose(trials: Sequence[LawTrial]) -> int:
     return best
 
 
+#: Units of standard parameters that are no moments of inertia.
+UNITS = {"m": "kg", "mx": "kg m", "my": "kg m", "mz": "kg m"}
+
+
 def _units(chain: Chain, base: BaseParameters, law: FrictionLaw) -> Iterable[str]:
     arm: Any = chain.mechanism
     for name in base.names:
-        kind, j = name.rstrip("0123456789"), int(name[len(name.rstrip("0123456789")) :]) - 1
-        slides = kind == "Ia" and arm.prismatic[j]
-        yield "kg" if kind == "m" or slides else "kg m" if kind in ("mx", "my", "mz") else "kg m^2"
+        kind, joint = stem_and_number(name)
+        slides = kind == "Ia" and arm.prismatic[int(joint) - 1]
+        yield "kg" if slides else UNITS.get(kind, "kg m^2")
     for _, unit in law.parameters:
         for j in range(len(arm.prismatic)):
             yield chain.signature.unit(unit, j)

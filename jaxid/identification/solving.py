@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxid.dynamics.base_parameters import BaseParameters
+from jaxid.dynamics.base_parameters import BaseParameters, standard_values
 from jaxid.dynamics.chain import Chain
 from jaxid.force.covariance import covariance_of_rows, of_joints, RowCovariance
 from jaxid.force.rows import ByJoint, ForceRows, Numbers
@@ -84,16 +84,11 @@ def law_problem(
     """
     arm: Any = chain.mechanism
     fit = [r for r in runs if r.split == "fit"]
-    standard = np.array([_stated(arm, name) for name in base.standard])
+    standard = standard_values(arm, base.standard)
     friction = np.zeros(len(law.parameters) * len(arm.prismatic))
     prior = np.concatenate([base.values(standard), friction])
     spread = None if trust is None else trust * spread_of(base, prior, law, fit)
     return LawProblem(law, fit, arm, base, standard, prior, spread)
-
-
-def _stated(arm: Any, name: str) -> float:
-    """A standard parameter such as `Ixx3` as the arm's model has it."""
-    return float(np.asarray(getattr(arm, name.rstrip("0123456789")))[int(name[-1]) - 1])
 
 
 def fit_law(

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.base.wording import listed, number, percent
+from jaxid.base.wording import listed, number, percent, stem_and_number
 from jaxid.data.dataset import ModelSpec
-from jaxid.dynamics.base_parameters import BaseParameters
+from jaxid.dynamics.base_parameters import BaseParameters, standard_values
 from jaxid.fitting.result import Covariance, Estimate
 from jaxid.fitting.stated import judged, StatedNumber
 from jaxid.identification.regression import FrictionLaw, RegressionRun, torques
@@ -49,12 +49,6 @@ def _far(row: dict[str, Any]) -> float:
     return abs(row["deviation"] or 0.0)
 
 
-def _kind_and_joint(name: str) -> tuple[str, str]:
-    """`mx2` is mx of joint 2."""
-    kind = name.rstrip("0123456789")
-    return kind, name.removeprefix(kind)
-
-
 def values_of(spec: ModelSpec) -> dict[str, float]:
     """The constants and the values of parameters that a dataset states, by name."""
     values = {k: p.value for k, p in spec.parameters.items() if p.value is not None}
@@ -75,7 +69,7 @@ def _answer(
     """One stated number beside what was identified of it: of a body's, the base parameter that it
     leads, where nothing regroups with it that is not stated, too.
     """
-    _, joint = _kind_and_joint(name)
+    _, joint = stem_and_number(name)
     at = result.names.index(name) if name in result.names else None
     unit = "" if at is None else result.units[at]
     said = f"your stated {name} {number(known[name])} {unit}".rstrip()
@@ -124,16 +118,14 @@ def beside_the_file(
     the filtered torque.
     """
     n = len(arm.prismatic)
-    phi = []
-    for kind, joint in map(_kind_and_joint, base.standard):
-        phi.append(float(np.asarray(getattr(arm, kind))[int(joint) - 1]))
+    phi = standard_values(arm, base.standard)
     level, viscous = np.array(arm.friction).T
     own = {"F_c": level, "F_v": viscous}
     friction = [own.get(p, np.zeros(n)) for p, _ in law.parameters]
-    theta = np.concatenate([base.values(np.array(phi)), *friction])
+    theta = np.concatenate([base.values(phi), *friction])
     std, rows = result.std(), []
     for i, name in enumerate(result.names):
-        kind, joint = _kind_and_joint(name)
+        kind, joint = stem_and_number(name)
         if kind not in own and i >= result.base_count:
             continue
         deviation = apart(float(result.theta[i]), float(theta[i]), float(std[i]))

@@ -259,7 +259,9 @@ class FitProblem(AbstractProblem):
             engine, records = self.runs.engine, self.records
             count, norm = self._scales()
             own = self.weights is not self.runs.weights
-            samples = engine.samples._replace(w=self.weights) if own else engine.samples
+            samples = self.runs.samples
+            if own:
+                samples = samples._replace(w=self.weights)
             stated = engine.overrides[records]
             self._data = Data(
                 samples=samples,

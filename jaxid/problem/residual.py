@@ -12,9 +12,11 @@ from __future__ import annotations
 import abc
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import chain, pairwise
 from typing import ClassVar, Literal
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxid.base.errors import nearest, UsageError
@@ -26,13 +28,14 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.joint_readings import joint_readings, position_matters, start_of, stated_start
 from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.force.torque_filter import decimated_torque_lane, evenly, torque_setting, TorqueSetting
+from jaxid.numerics.precision import float64
 from jaxid.problem import measured_motion
 from jaxid.problem.beginnings import head_samples, nested_heads, run_up
 from jaxid.problem.measured_motion import Motion
 from jaxid.simulation import sample_buffers as recorded
 from jaxid.simulation.batch import BatchSimulator
 from jaxid.simulation.rollout import inverse_dynamics_rollout, Lane, simulate_rollout
-from jaxid.simulation.sample_buffers import Record
+from jaxid.simulation.sample_buffers import Record, Samples
 
 
 #: What a residual's runs are.
@@ -44,12 +47,19 @@ Simulation = Literal[
 WINDOW_PAST = 1000
 
 
-@dataclass
+def _of_the_engine() -> np.ndarray:
+    """Stands for the weights or targets of the engine's samples."""
+    return np.empty((0, 0))
+
+
+@dataclass(frozen=True)
 class Runs:
     """Some experiments made ready for one residual: records on a compiled engine.
 
     `heads` are, per experiment, records of its first moments, longest first, from which a run that
-    is not fitted estimates its start.
+    is not fitted estimates its start. `weights` and `targets` are of the samples in the engine's
+    buffers, [samples columns]; `dataclasses.replace` gives the same runs with others. What has the
+    weight 0 does not count.
     """
 
     experiments: tuple[Experiment, ...]
@@ -64,12 +74,22 @@ class Runs:
         None  # where the residual was made from, and with which filter: for instruments
     )
     setting: TorqueSetting | None = None
-    weights: np.ndarray = field(init=False)
-    targets: np.ndarray = field(init=False)
+    weights: np.ndarray = field(default_factory=_of_the_engine)
+    targets: np.ndarray = field(default_factory=_of_the_engine)
 
     def __post_init__(self):
-        self.weights = np.asarray(self.engine.samples.w)
-        self.targets = np.asarray(self.engine.samples.y)
+        if not self.weights.size:
+            object.__setattr__(self, "weights", np.asarray(self.engine.samples.w))
+        if not self.targets.size:
+            object.__setattr__(self, "targets", np.asarray(self.engine.samples.y))
+
+    @cached_property
+    def samples(self) -> Samples:
+        """The engine's buffers with the weights and targets of these runs."""
+        with float64():
+            return self.engine.samples._replace(
+                w=jnp.asarray(self.weights), y=jnp.asarray(self.targets)
+            )
 
     def record(self, number: int) -> Record:
         return self.engine.records[number]

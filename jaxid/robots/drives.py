@@ -401,7 +401,7 @@ def file_law(tree: Tree, joints: Sequence[str]) -> DriveLaw:
     lacking = [j for j in joints if j not in tree.actuators or tree.actuators[j].kind != "position"]
     if lacking:
         raise UsageError(
-            f"{tree.file or 'the robot'} states no position actuator for {', '.join(lacking)}:"
+            f"{tree.title} states no position actuator for {', '.join(lacking)}:"
             ' state the law that turns goals into torque under [controller] (kind = "pd", kp,'
             " kd), or give torques as NAME_tau"
         )

@@ -142,7 +142,7 @@ def named(dataset: Dataset, tree: Tree, joints: Mapping[str, str] | None = None)
     out = _channels_of(gone, have)
     if out:
         dataset = left_out(dataset, out)
-        notes = [f"left out, for {tree.file or 'the robot'} lacks them: {', '.join(gone.values())}"]
+        notes = [f"left out, for {tree.title} lacks them: {', '.join(gone.values())}"]
         have = set(names_of(dataset.channels))
     if not joints:
         joints, said = _numbered_joints(dataset, tree)
@@ -333,7 +333,7 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
     for name, unit in needed:
         if (have := units.get(name, unit)) != unit:
             raise UsageError(
-                f"channel {name!r} is in {have}; {tree.file or 'the robot'} has it in {unit}:"
+                f"channel {name!r} is in {have}; {tree.title} has it in {unit}:"
                 f" correct its unit, or convert it: {as_unit(have, unit)}"
             )
     return Chain(out, signature=signature, smoothing_velocity=smoothing)
@@ -354,46 +354,70 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
     tree, notes = led(tree, dataset)
     measured = [j for j in tree.leading if j in outputs or f"{j}_qd" in outputs]
     followers = {c.follower: c.leader for c in tree.couplings if c.follower in outputs}
-    for follower, leader in followers.items():
-        if leader not in measured:
-            raise UsageError(
-                f"{follower} is recorded and {leader}, which it follows, is not: record {leader},"
-                " or work its position out "
-                f'of that of {follower} (`scale`, `offset`) and give {follower} role = "auxiliary"'
-            )
+    _refuse_lone_followers(followers, measured)
     _refuse_ties(tree, measured)
     if not measured:
         raise UsageError(
-            f"no channel is a joint of {tree.file or 'the robot'}: its joints are"
-            f" {', '.join(tree.leading)}, the outputs of the "
-            f"recording {', '.join(sorted(outputs)) or 'none'}. Name channels so, or map them under"
-            " [model.joints]: q1 = "
-            f'"{tree.leading[0]}"'
+            f"no channel is a joint of {tree.title}: its joints are {', '.join(tree.leading)}, the"
+            f" outputs of the recording {', '.join(sorted(outputs)) or 'none'}. Name channels so,"
+            f' or map them under [model.joints]: q1 = "{tree.leading[0]}"'
         )
     refuse_unknown(tree, outputs)
     held = {joint: held_at(tree, dataset, joint) for joint in tree.leading if joint not in measured}
     locked = tree.locked(held)
-    said = list(notes)
-    if held:  # and what follows these
-        own = {joint: v for joint, v in locked.held.items() if joint not in tree.held}
-        listed = ", ".join(f"{joint} at {v:.4g}" for joint, v in own.items())
-        said.append(
-            f"not recorded and held: {listed} (state {POSE}NAME under [model.constants] where"
-            " that is wrong)"
-        )
-    if tree.ties:
-        listed = "; ".join(f"{t.what}, of {', '.join(t.joints)}" for t in tree.ties)
-        said.append(f"not simulated, for all joints that it acts on are held: {listed}")
+    own = {joint: at for joint, at in locked.held.items() if joint not in tree.held}
+    said = filter(
+        None,
+        (
+            _held_said(own) if held else "",
+            _ties_said(tree),
+            _curves_said(tree, measured),
+            _followers_said(followers),
+        ),
+    )
+    return locked, (*notes, *said)
+
+
+def _refuse_lone_followers(followers: Mapping[str, str], measured: Sequence[str]) -> None:
+    """Raises `UsageError` where a joint is recorded and the one that leads it is not."""
+    for follower, leader in followers.items():
+        if leader not in measured:
+            raise UsageError(
+                f"{follower} is recorded and {leader}, which it follows, is not: record {leader},"
+                f" or work its position out of that of {follower} (`scale`, `offset`) and give"
+                f' {follower} role = "auxiliary"'
+            )
+
+
+def _held_said(held: Mapping[str, float]) -> str:
+    """Joints that are held, with what follows them."""
+    listed = ", ".join(f"{joint} at {at:.4g}" for joint, at in held.items())
+    return (
+        f"not recorded and held: {listed} (state {POSE}NAME under [model.constants] where that is"
+        " wrong)"
+    )
+
+
+def _ties_said(tree: Tree) -> str:
+    if not tree.ties:
+        return ""
+    listed = "; ".join(f"{t.what}, of {', '.join(t.joints)}" for t in tree.ties)
+    return f"not simulated, for all joints that it acts on are held: {listed}"
+
+
+def _curves_said(tree: Tree, measured: Sequence[str]) -> str:
     curved = [c for c in tree.couplings if c.curve is not None and c.leader in measured]
-    if curved:
-        listed = ", ".join(f"{c.follower} with {c.leader} at {_about(c):.3g}" for c in curved)
-        said.append(
-            f"coupled by a curve: {listed}; dry friction of a follower counts as it does there"
-        )
-    if followers:
-        listed = ", ".join(f"{a} follows {b}" for a, b in followers.items())
-        said.append(f"{listed}, as the file says: not compared")
-    return locked, tuple(said)
+    if not curved:
+        return ""
+    listed = ", ".join(f"{c.follower} with {c.leader} at {_about(c):.3g}" for c in curved)
+    return f"coupled by a curve: {listed}; dry friction of a follower counts as it does there"
+
+
+def _followers_said(followers: Mapping[str, str]) -> str:
+    if not followers:
+        return ""
+    listed = ", ".join(f"{a} follows {b}" for a, b in followers.items())
+    return f"{listed}, as the file says: not compared"
 
 
 def _about(c: Coupling) -> float:
@@ -409,7 +433,7 @@ def _refuse_ties(tree: Tree, measured: Sequence[str]) -> None:
         hanging = [j for j in (*measured, *tie.joints) if j in tie.joints and j in moves]
         if hanging:
             raise UsageError(
-                f"{tree.file or 'the robot'}: {tie.what}, acts on {', '.join(tie.joints)}, and"
+                f"{tree.title}: {tie.what}, acts on {', '.join(tie.joints)}, and"
                 f" {hanging[0]} is recorded; jaxid takes joints that are driven by themselves. Give"
                 ' these joints role = "auxiliary" (and take their goals out): they are then held'
                 " where they were on average"

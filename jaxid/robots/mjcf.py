@@ -114,23 +114,13 @@ class _Reader:
                 lifted[node] = lifted[node] + m.body_gravcomp[b] * ten
         if not joints:
             raise self.refuse(self.without_joints())
-        unmoved = [
-            links[k] or joints[k]
-            for k in range(len(joints))
-            if not self.carries(k, parent, inertia)
-        ]
-        if unmoved:
-            raise self.refuse(f"nothing of mass hangs on {unmoved[0]!r}; state its <inertial>")
-        j, dof = np.array(number), m.jnt_dofadr[number]
-        for k in j:
-            poly = [
-                getattr(m, f)[k] for f in ("jnt_stiffnesspoly", "jnt_springyield") if hasattr(m, f)
-            ]
-            if np.any(np.concatenate([np.ravel(p) for p in poly])):
+        for k, joint in enumerate(joints):
+            if not self.carries(k, parent, inertia):
                 raise self.refuse(
-                    f"joint {self.name('JOINT', k)!r} has a spring that is not linear, which is not"
-                    " simulated"
+                    f"nothing of mass hangs on {links[k] or joint!r}; state its <inertial>"
                 )
+        j, dof = np.array(number), m.jnt_dofadr[number]
+        self.refuse_curved_springs(number)
         damping = np.column_stack([m.dof_damping[dof], m.dof_dampingpoly[dof]])[:, :3]
         limited = m.jnt_limited[j].astype(bool)
         force = [self.joint_force(k) for k in j]
@@ -178,6 +168,17 @@ class _Reader:
             lifted=np.array(lifted) if m.body_gravcomp.any() else None,
         )
         return tree.locked(fixed)
+
+    def refuse_curved_springs(self, number: Sequence[int]) -> None:
+        """Raises `UsageError` for a spring that is not linear."""
+        for field in ("jnt_stiffnesspoly", "jnt_springyield"):
+            curved = getattr(self.m, field, None)
+            for j in number:
+                if curved is not None and np.any(curved[j]):
+                    raise self.refuse(
+                        f"joint {self.name('JOINT', j)!r} has a spring that is not linear, which"
+                        " is not simulated"
+                    )
 
     def without_joints(self) -> str:
         """What to say of a file in which nothing can be fitted."""
@@ -335,56 +336,69 @@ class _Reader:
         """The law of one actuator at its joint. `other` where it is none of motor, position and
         velocity.
         """
-        m, mj = self.m, self.mj
-        g, endless = float(m.actuator_gear[a, 0]), (-np.inf, np.inf)
-        gain, bias = m.actuator_gainprm[a], m.actuator_biasprm[a]
-        affine = int(m.actuator_biastype[a]) == int(mj.mjtBias.mjBIAS_AFFINE)
-        b0, b1, b2 = (float(v) for v in bias[:3]) if affine else (0.0, 0.0, 0.0)
-        dyn, kinds = int(m.actuator_dyntype[a]), mj.mjtDyn
-        known = int(m.actuator_gaintype[a]) == int(mj.mjtGain.mjGAIN_FIXED) and g != 0
-        known &= int(m.actuator_biastype[a]) in (
-            int(mj.mjtBias.mjBIAS_NONE),
-            int(mj.mjtBias.mjBIAS_AFFINE),
-        )
-        lagging = dyn in (int(kinds.mjDYN_FILTER), int(kinds.mjDYN_FILTEREXACT))
-        known &= lagging or dyn == int(kinds.mjDYN_NONE)
-        if b1 == 0 and b2 == 0:
-            kind = "motor"
-        elif b1 < 0 and abs(gain[0] + b1) <= 1e-9 * abs(b1):
-            kind = "position"
-        else:
-            kind = "velocity" if b1 == 0 and abs(gain[0] + b2) <= 1e-9 * abs(b2) else "other"
-        if kind == "position" and abs(g - 1) > 1e-9:
+        m = self.m
+        gear = float(m.actuator_gear[a, 0])
+        gain = float(m.actuator_gainprm[a][0])
+        b0, b1, b2 = self.bias(a)
+        kind = _kind_of(gain, b1, b2)
+        if kind == "position" and abs(gear - 1) > 1e-9:
             self.notes.append(
-                f"actuator {self.name('ACTUATOR', a)!r} has a gear of {g:g}: its goal is a position"
-                f" of the joint, ctrl / {g:g}"
+                f"actuator {self.name('ACTUATOR', a)!r} has a gear of {gear:g}: its goal is a"
+                f" position of the joint, ctrl / {gear:g}"
             )
-        force = (
-            tuple(map(float, m.actuator_forcerange[a])) if m.actuator_forcelimited[a] else endless
-        )
-        low, high = self.joint_force(j)
-        force = (
-            (max(force[0], min(low / g, high / g)), min(force[1], max(low / g, high / g)))
-            if g
-            else force
-        )
-        control: Any = (
-            sorted(float(v) / g for v in m.actuator_ctrlrange[a])
-            if m.actuator_ctrllimited[a] and g
-            else endless
-        )
+        low, high = self.actuator_force(a, j, gear)
         return Actuator(
             name=self.name("ACTUATOR", a),
-            kind=kind if known else "other",
-            kp=-b1 * g * g,
-            kd=-b2 * g * g,
-            gain=float(gain[0]),
-            offset=b0 * g,
-            force=(min(force[0] * g, force[1] * g), max(force[0] * g, force[1] * g)),
-            control=tuple(control),
-            lag=float(m.actuator_dynprm[a, 0]) if lagging else 0.0,
+            kind=kind if self.is_simulated(a) else "other",
+            kp=-b1 * gear * gear,
+            kd=-b2 * gear * gear,
+            gain=gain,
+            offset=b0 * gear,
+            force=(min(low * gear, high * gear), max(low * gear, high * gear)),
+            control=self.control(a, gear),
+            lag=float(m.actuator_dynprm[a, 0]) if self.lags(a) else 0.0,
             delay=float(m.actuator_delay[a]),
         )
+
+    def bias(self, a: int) -> tuple[float, float, float]:
+        """Force of an actuator by itself, for each position and each speed."""
+        if int(self.m.actuator_biastype[a]) != int(self.mj.mjtBias.mjBIAS_AFFINE):
+            return 0.0, 0.0, 0.0
+        b0, b1, b2 = map(float, self.m.actuator_biasprm[a][:3])
+        return b0, b1, b2
+
+    def lags(self, a: int) -> bool:
+        """Whether an actuator has a filter of first order."""
+        kinds = self.mj.mjtDyn
+        filters = int(kinds.mjDYN_FILTER), int(kinds.mjDYN_FILTEREXACT)
+        return int(self.m.actuator_dyntype[a]) in filters
+
+    def is_simulated(self, a: int) -> bool:
+        """Whether an actuator is of a kind that a law at its joint says."""
+        m, mj = self.m, self.mj
+        fixed = int(m.actuator_gaintype[a]) == int(mj.mjtGain.mjGAIN_FIXED)
+        biases = int(mj.mjtBias.mjBIAS_NONE), int(mj.mjtBias.mjBIAS_AFFINE)
+        linear = fixed and int(m.actuator_biastype[a]) in biases
+        at_once = int(m.actuator_dyntype[a]) == int(mj.mjtDyn.mjDYN_NONE)
+        geared = m.actuator_gear[a, 0] != 0
+        return bool(linear and geared and (at_once or self.lags(a)))
+
+    def actuator_force(self, a: int, j: int, gear: float) -> tuple[float, float]:
+        """Limits of an actuator's force before its gear, by its own and by its joint's."""
+        low, high = -np.inf, np.inf
+        if self.m.actuator_forcelimited[a]:
+            low, high = map(float, self.m.actuator_forcerange[a])
+        if not gear:
+            return low, high
+        ends = [end / gear for end in self.joint_force(j)]
+        return max(low, min(ends)), min(high, max(ends))
+
+    def control(self, a: int, gear: float) -> tuple[float, float]:
+        """Limits of an actuator's control, at its joint."""
+        if not self.m.actuator_ctrllimited[a] or not gear:
+            return -np.inf, np.inf
+        low, high = sorted(float(v) / gear for v in self.m.actuator_ctrlrange[a])
+        return low, high
 
     def poses(self, number: list[int], joints: list[str]) -> dict[str, dict[str, float]]:
         m = self.m
@@ -393,6 +407,17 @@ class _Reader:
             self.name("KEY", k): dict(zip(joints, map(float, m.key_qpos[k][at]), strict=True))
             for k in range(m.nkey)
         }
+
+
+def _kind_of(gain: float, b1: float, b2: float) -> str:
+    """The kind of an actuator by its gain and its bias for each position and each speed."""
+    if b1 == 0 and b2 == 0:
+        return "motor"
+    if b1 < 0 and abs(gain + b1) <= 1e-9 * abs(b1):
+        return "position"
+    if b1 == 0 and abs(gain + b2) <= 1e-9 * abs(b2):
+        return "velocity"
+    return "other"
 
 
 def pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:

@@ -28,7 +28,7 @@ def refuse_unknown(tree: Tree, outputs: set[str]) -> None:
         )
     raise UsageError(
         f"output {first!r} is not a joint of"
-        f" {tree.file or 'the robot'}{nearest(first, tree.leading)}; map it under"
+        f" {tree.title}{nearest(first, tree.leading)}; map it under"
         ' [model.joints], or give it role = "auxiliary"'
     )
 

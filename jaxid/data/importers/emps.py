@@ -115,11 +115,11 @@ def _read_emps(path: Path, problems: list[DatasetProblem]) -> dict[str, Any]:
     def complain(message: str, remedy: str, name: str | None = None, where: str = file) -> None:
         problems.append(DatasetProblem(where, None, name, message, remedy))
 
-    try:
-        content = loadmat(path)
-    except FileNotFoundError:
+    if not path.is_file():
         complain("there is no such file", "Get it from nonlinearbenchmark.org", where=str(path))
         return {}
+    try:
+        content = loadmat(path)
     except Exception as error:  # SciPy raises whatever its parser stumbles on
         complain(f"not readable as a MAT file ({first_line(error)})", "Download it again")
         return {}

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,6 +28,20 @@ FORMS = ("sync", "bulk", "fast")
 SILENT_S = 0.5
 OPEN_S = 8.0
 STOPPED_S = 1.0
+
+
+class _Played(NamedTuple):
+    """What is commanded about a path, [ticks joints]: from `start` a `lead` to it, what is held
+    before and after it; the limits of commands and their largest steps, [joints].
+    """
+
+    start: np.ndarray
+    lead: np.ndarray
+    first: np.ndarray
+    end: np.ndarray
+    lower: Sequence[float]
+    upper: Sequence[float]
+    largest: Sequence[float]
 
 
 class Dynamixel:
@@ -290,7 +304,7 @@ class Dynamixel:
         return q if self.mode == "position" else 0.0
 
     def _from_counts(self, goal: float, j: int) -> float:
-        return (goal - (self.zero[j] if self.mode == "position" else 0)) * self._scale(j)
+        return (goal - self._zeros()[j]) * self._scale(j)
 
     def _step(self) -> int:
         return 5 if self.mode is None else 6
@@ -309,50 +323,79 @@ class Dynamixel:
     def plan(self, trajectory: Trajectory, limits: Limits, values: Sequence[float]) -> PathPlan:
         step = self.command_step
         path = trajectory.sampled(step)
-        speed = limits.speed or (math.inf,) * self.joints
         hold = round(0.3 / step)
         if self.mode == "position":
-            assert limits.lower is not None and limits.upper is not None
-            start = np.array(self.measured(values).q)
-            lead = approach(start, path[0], limits, step)
-            lower, upper = limits.lower, limits.upper
-            largest = [1.05 * s * step for s in speed]
-            first, end = np.repeat(path[:1], hold, axis=0), np.repeat(path[-1:], hold, axis=0)
-            shift = self.zero
+            played = self._played_positions(path, hold, limits, values)
         else:
-            top = limits.current if self.mode == "current" else speed
-            assert top is not None
-            start = np.zeros(self.joints)
-            lead = np.zeros((0, self.joints))
-            lower, upper = [-v for v in top], top
-            largest = list(top)
-            if self.mode == "velocity" and limits.acceleration is not None:
-                largest = [a * step for a in limits.acceleration]
-            first = end = np.zeros((hold, self.joints))
-            shift = [0] * self.joints
+            played = self._played_rates(path, hold, limits)
+        largest = played.largest
         if limits.step is not None:
             largest = [min(a, b) for a, b in zip(largest, limits.step, strict=True)]
-        begin = len(lead) + hold
-
-        def counts(v: Sequence[float]) -> list[int]:
-            """The counts that each joint reaches without passing its value."""
-            return [math.floor(v[j] / self._scale(j) + 1e-9) for j in range(self.joints)]
-
-        below, above = counts([-v for v in lower]), counts(upper)
+        begin = len(played.lead) + hold
+        shift = self._zeros()
+        below = self._whole_counts([-v for v in played.lower])
+        above = self._whole_counts(played.upper)
+        table = np.concatenate([played.lead, played.first, path, played.end])
         return PathPlan(
             kind=self.mode or "",
-            table=self._counts(np.concatenate([lead, first, path, end])),
+            table=self._counts(table),
             step=step,
             lower=[zero - count for zero, count in zip(shift, below, strict=True)],
             upper=[zero + count for zero, count in zip(shift, above, strict=True)],
-            largest_step=[max(1, count) for count in counts(largest)],
-            start=self._counts(start[None])[0].round().tolist(),
+            largest_step=[max(1, count) for count in self._whole_counts(largest)],
+            start=self._counts(played.start[None])[0].round().tolist(),
             marks=[(begin, "play_start"), (begin + len(path) - 1, "play_end")],
         )
 
+    def _played_positions(
+        self, path: np.ndarray, hold: int, limits: Limits, values: Sequence[float]
+    ) -> _Played:
+        """A path of positions: approached from where the joints are, and held at its ends."""
+        assert limits.lower is not None and limits.upper is not None
+        step = self.command_step
+        speed = limits.speed or (math.inf,) * self.joints
+        start = np.array(self.measured(values).q)
+        return _Played(
+            start=start,
+            lead=approach(start, path[0], limits, step),
+            first=np.repeat(path[:1], hold, axis=0),
+            end=np.repeat(path[-1:], hold, axis=0),
+            lower=limits.lower,
+            upper=limits.upper,
+            largest=[1.05 * s * step for s in speed],
+        )
+
+    def _played_rates(self, path: np.ndarray, hold: int, limits: Limits) -> _Played:
+        """A path of currents or velocities: nothing is commanded before and after it."""
+        top = limits.current
+        if self.mode != "current":
+            top = limits.speed or (math.inf,) * self.joints
+        assert top is not None
+        largest = list(top)
+        if self.mode == "velocity" and limits.acceleration is not None:
+            largest = [a * self.command_step for a in limits.acceleration]
+        still = np.zeros((hold, self.joints))
+        return _Played(
+            start=np.zeros(self.joints),
+            lead=np.zeros((0, self.joints)),
+            first=still,
+            end=still,
+            lower=[-v for v in top],
+            upper=top,
+            largest=largest,
+        )
+
+    def _whole_counts(self, values: Sequence[float]) -> list[int]:
+        """The counts that each joint reaches without passing its value."""
+        return [math.floor(v / self._scale(j) + 1e-9) for j, v in enumerate(values)]
+
+    def _zeros(self) -> list[int]:
+        """The count at which each joint's command is zero."""
+        return list(self.zero) if self.mode == "position" else [0] * self.joints
+
     def _counts(self, values: np.ndarray) -> np.ndarray:
-        shift = np.array(self.zero if self.mode == "position" else [0] * self.joints)
-        return values / np.array([self._scale(j) for j in range(self.joints)]) + shift
+        scale = np.array([self._scale(j) for j in range(self.joints)])
+        return values / scale + np.array(self._zeros())
 
     def load(self, plan: PathPlan) -> None:
         self._path = Sender(plan.table, self._running.send)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.base.wording import stem_and_number
 from jaxid.dynamics.export_law import StandsFor
 from jaxid.robots.bodies import BODY
 from jaxid.robots.export.law_code import kind_of, own_number
@@ -167,9 +168,9 @@ def _plain_number(sheet: Sheet, name: str, number: Number) -> None:
     """A number of a model that is no robot: friction and armature have a field, others have
     none.
     """
-    stem = name.rstrip("0123456789")
+    stem, joint = stem_and_number(name)
     joints = list(sheet.after)
-    place = int(name[len(stem) :]) - 1 if name != stem else 0
+    place = int(joint or 1) - 1
     if stem in PLAIN and place < len(joints):
         _joint_number(sheet, name, joints[place], PLAIN[stem], number)
     elif stem == "offset" and place < len(joints):

@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 
 from jaxid.base.errors import UsageError
+from jaxid.base.wording import stem_and_number
+from jaxid.dynamics.base_parameters import standard_values
 from jaxid.models.effects import ConstantTorque, PowerLawFriction, StribeckFriction
 from jaxid.robots.arms import table_of
 from jaxid.robots.chain_table import z_to
 from jaxid.robots.export.apply import carried
-from jaxid.robots.export.outcome import ExportOutcome, Named, Number, number
+from jaxid.robots.export.outcome import ExportOutcome, Named, Number, number, tables
 from jaxid.robots.export.sheet import body_before, from_ten, of_tree, RobotChange, Sheet
 from jaxid.robots.tree import Tree, turned
 
@@ -27,6 +29,10 @@ ROUNDS, CLOSE = 5000, 1e-8
 #: Speed over which the extra dry friction of the stribeck law fades, rad/s: see
 #: `identification.regression`.
 FADES = 0.1
+NEAREST = (
+    "a combination of several bodies' numbers: the bodies nearest to the file's that can exist"
+    " (positive, triangle inequality) and have it were taken"
+)
 
 
 def identified(found: ExportOutcome, tree: Tree, path: Path | None) -> Sheet:
@@ -35,26 +41,26 @@ def identified(found: ExportOutcome, tree: Tree, path: Path | None) -> Sheet:
     """
     own = found.robot.get("joints") or []
     if own and all(j in tree.joints for j in own):
-        tree = tree.locked(
-            {
-                **found.robot["held"],
-                **{
-                    j: tree.neutral(j)
-                    for j in tree.leading
-                    if j not in {*own, *found.robot["held"]}
-                },
-            }
-        )
+        tree = tree.locked(_held(tree, own, found.robot["held"]))
     friction = found.content.get("friction") or []
     if not isinstance(friction, list):
         raise UsageError("friction of the result is not a list")
-    tree = _chain(tree, [str(r.get("joint")) for r in friction if isinstance(r, Mapping)], path)
+    tree = _chain(tree, [str(row.get("joint")) for row in tables(friction)], path)
     sheet = of_tree(tree, tree.joints, found.robot)
     _bodies(sheet, found, tree)
     return carried(
         sheet,
         replace(found, parameters=_friction(friction, tree), effects=_effects(friction, tree)),
     )
+
+
+def _held(tree: Tree, own: list[str], held: Mapping[str, float]) -> dict[str, float]:
+    """Where joints stand that are not the identification's `own`: as it says, else neutral."""
+    out = dict(held)
+    for joint in tree.leading:
+        if joint not in own and joint not in held:
+            out[joint] = tree.neutral(joint)
+    return out
 
 
 def _chain(tree: Tree, names: list[str], path: Path | None) -> Tree:
@@ -135,74 +141,86 @@ def _bodies(sheet: Sheet, found: ExportOutcome, tree: Tree) -> None:
 
     arm: Any = SerialArm(table_of(tree))
     base = arm.base()
-    listed = found.content.get("base_parameters") or []
-    rows = {str(r.get("name")): r for r in listed if isinstance(r, Mapping)}
-    lacking = [n for n in base.names if n not in rows]
-    if lacking or len(rows) != len(base.names):
+    rows = _base_rows(found, tree, base.names)
+    start = standard_values(arm, base.standard)
+    phi, off = _standard(found, base, rows, start)
+    _set_bodies(sheet, tree, dict(zip(base.standard, phi, strict=True)))
+    for name, before, value in zip(base.standard, start, phi, strict=True):
+        kind, j = _kind_and_joint(name)
+        if kind == "Ia" and value != before and tree.links[j]:
+            sheet.set(tree.joints[j], armature=float(value))
+    note = NEAREST
+    if off > 1e-4:
+        note += f"; they are {100 * off:.2g} % of the largest parameter off"
+    sheet.record(_base_change(tree, name, rows[name], note) for name in base.names)
+
+
+def _base_rows(
+    found: ExportOutcome, tree: Tree, names: tuple[str, ...]
+) -> dict[str, Mapping[str, Any]]:
+    """What the result says of each base parameter. Raises `UsageError` where it has others."""
+    rows = {str(row.get("name")): row for row in tables(found.content.get("base_parameters"))}
+    lacking = [name for name in names if name not in rows]
+    if lacking or len(rows) != len(names):
         raise UsageError(
             f"the base parameters of the result are not those of {tree.file}:"
             f" {', '.join(lacking or rows)}"
         )
-    beta = np.array([number(n, rows[n]) for n in base.names])
+    return rows
 
-    def split(name):
-        return (
-            name.rstrip("0123456789"),
-            int(name[len(name.rstrip("0123456789")) :]) - 1,
-        )
 
-    start = np.array(
-        [float(np.asarray(getattr(arm, kind))[j]) for kind, j in map(split, base.standard)]
-    )
+def _standard(
+    found: ExportOutcome, base: Any, rows: Mapping[str, Mapping[str, Any]], start: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """(standard parameters, how far their base parameters are off): the result's own where it has
+    all of them, else the nearest of bodies that can exist.
+    """
     stated = found.content.get("standard_parameters")
-    if isinstance(stated, Mapping) and all(n in stated for n in base.standard):
-        phi, off = np.array([number(n, stated[n]) for n in base.standard]), 0.0
-    else:
-        phi, off = nearest_bodies(start, base.K, beta, base.standard)
-    places = {name: i for i, name in enumerate(base.standard)}
+    if isinstance(stated, Mapping) and all(name in stated for name in base.standard):
+        return np.array([number(name, stated[name]) for name in base.standard]), 0.0
+    beta = np.array([number(name, rows[name]) for name in base.names])
+    return nearest_bodies(start, base.K, beta, base.standard)
+
+
+def _set_bodies(sheet: Sheet, tree: Tree, standard: Mapping[str, float]) -> None:
+    """Each link's inertia by its ten standard parameters."""
     for k in range(tree.n):
         link = tree.links[k]
         if not link:
             continue
-        ten = np.array([phi[places[f"{kind}{k + 1}"]] for kind in TEN])
+        ten = np.array([standard[f"{kind}{k + 1}"] for kind in TEN])
         turn = np.eye(4)
         turn[:3, :3] = z_to(tree.axis[k])
         shift = np.eye(4)
         shift[:3, 3] = tree.anchor[k]
-        sheet.bodies[link] = body_before(tree, link), from_ten(turned(turned(ten, turn), shift))[0]
-        drive = f"Ia{k + 1}"
-        if drive in places and phi[places[drive]] != start[places[drive]]:
-            sheet.set(tree.joints[k], armature=float(phi[places[drive]]))
-    note = (
-        "a combination of several bodies' numbers: the bodies nearest to the file's that can exist"
-        " (positive, triangle "
+        after, _ = from_ten(turned(turned(ten, turn), shift))
+        sheet.bodies[link] = body_before(tree, link), after
+
+
+def _kind_and_joint(name: str) -> tuple[str, int]:
+    """`Ixx3` is Ixx of joint number 2, counted from 0."""
+    kind, joint = stem_and_number(name)
+    return kind, int(joint) - 1
+
+
+def _base_change(tree: Tree, name: str, row: Mapping[str, Any], note: str) -> RobotChange:
+    """What is said of a base parameter, at the first link with a name that it moves."""
+    kind, j = _kind_and_joint(name)
+    quantity, place = "inertial", next(filter(None, tree.links[j:]), tree.links[j])
+    if kind == "Ia":
+        quantity, place = "armature", tree.joints[j]
+    if not row.get("identifiable", True):
+        note += "; the data do not determine it"
+    return RobotChange(
+        effect=name,
+        location=tree.joints[j],
+        quantity=quantity,
+        place=place,
+        value=number(name, row),
+        before=None,
+        unit=str(row.get("unit") or "")[:40],
+        note=note,
     )
-    note += "inequality) and have it were taken" + (
-        f"; they are {100 * off:.2g} % of the largest parameter off" if off > 1e-4 else ""
-    )
-    for name in base.names:
-        kind, j = split(name)
-        i = j + next((d for d in range(tree.n - j) if tree.links[j + d]), 0)
-        quantity, place = (
-            ("armature", tree.joints[j]) if kind == "Ia" else ("inertial", tree.links[i])
-        )
-        seen = rows[name].get("identifiable", True)
-        more = "" if seen else "; the data do not determine it"
-        unit = str(rows[name].get("unit") or "")[:40]
-        sheet.record(
-            [
-                RobotChange(
-                    effect=name,
-                    location=tree.joints[j],
-                    quantity=quantity,
-                    place=place,
-                    value=number(name, rows[name]),
-                    before=None,
-                    unit=unit,
-                    note=note + more,
-                )
-            ]
-        )
 
 
 def nearest_bodies(

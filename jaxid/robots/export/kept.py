@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxid.base.wording import value_with_std
 from jaxid.numerics.stated_numbers import BoundedEstimates, smallest_change
-from jaxid.robots.export.outcome import AS_STATED, ExportOutcome, Named, Number, number
+from jaxid.robots.export.outcome import AS_STATED, ExportOutcome, Named, Number, number, tables
 
 
 def kept(found: ExportOutcome) -> ExportOutcome:
@@ -50,10 +50,8 @@ def _name(e: Named, field: str) -> str:
 
 def _stated(found: ExportOutcome) -> dict[str, float]:
     """What the file, or the dataset, states of the numbers that were fitted, by their names."""
-    rows, out = found.content.get("stated"), {}
-    for row in rows if isinstance(rows, list) else []:
-        if not isinstance(row, Mapping):
-            continue
+    out: dict[str, float] = {}
+    for row in tables(found.content.get("stated")):
         kind = row.get("parameter")
         for name in (f"{kind}@{row.get('link')}", f"{kind}@{row.get('joint')}", str(kind)):
             if name in found.parameters and name not in out:

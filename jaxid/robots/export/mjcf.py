@@ -16,10 +16,11 @@ from jaxid.base.errors import UsageError
 from jaxid.base.wording import listed
 from jaxid.robots.export.law_code import code, lawful
 from jaxid.robots.export.mjcf_code import callback, Op, snippet, spec_code
-from jaxid.robots.export.mjcf_drive import DriveWords, ENDLESS, HISTORY, OF_LAW
+from jaxid.robots.export.mjcf_drive import DriveWords, OF_LAW
 from jaxid.robots.export.mjcf_file import compiled, MjcfFile
 from jaxid.robots.export.mjcf_friction import friction_field, UNTRIED
 from jaxid.robots.export.mjcf_ground import on_the_ground
+from jaxid.robots.export.mjcf_law import apart_from, drive_fields, stated_changes
 from jaxid.robots.export.outcome import AS_STATED, ExportOutcome
 from jaxid.robots.export.sheet import from_ten, JointNumbers, LinkInertia, RobotChange, Sheet
 from jaxid.robots.export.target import (
@@ -37,7 +38,7 @@ from jaxid.robots.export.target import (
     was,
     Written,
 )
-from jaxid.robots.export.xml_text import number as digits, numbers
+from jaxid.robots.export.xml_text import Element, number as digits, numbers, XmlText
 
 
 NAME, VERSION, FILES = "mjcf", "MuJoCo 4.0", (".xml", ".mjcf")
@@ -278,136 +279,57 @@ class _Patch:
         of another law.
         """
         sheet, tree = self.sheet, self.sheet.tree
-        if not sheet.driven or sheet.own_law or tree is None:
+        if not sheet.driven or sheet.own_law or tree is None or sheet.kind != "pd":
             return
         left: list[str] = []
         for joint, stated in sheet.after.items():
-            a = tree.actuators.get(joint)
-            if a is None or a.kind != "position" or sheet.kind != "pd":
+            actuator = tree.actuators.get(joint)
+            if actuator is None or actuator.kind != "position":
                 continue
             now = self._limited(joint, stated)
             if (now.lowest, now.highest) != (stated.lowest, stated.highest):
-                left.append(f"{joint} ({a.force[0]:g} to {a.force[1]:g} {sheet.force_unit(joint)})")
-            own = {
-                "kp": (a.kp, now.kp),
-                "kd": (a.kd, now.kd),
-                "lowest": (a.force[0], now.lowest),
-                "highest": (a.force[1], now.highest),
-                "delay": (a.delay, now.delay),
-                "lag": (a.lag, now.lag),
-                "offset": (a.offset, now.offset),
-            }
-            other = {
-                k
-                for k, (file, new) in own.items()
-                if abs(file - new) > 1e-9 * abs(new) or np.isinf(file) != np.isinf(new)
-            }
-            named = {c.quantity for c in sheet.changes if c.place == joint}
-            if other:
-                fields |= self._actuator(joint, other, now)
-            x = "m" if sheet.slides(joint) else "rad"
-            units = {
-                "kp": f"{sheet.force_unit(joint)}/{x}",
-                "kd": f"{sheet.force_unit(joint)} s/{x}",
-                "delay": "s",
-                "lag": "s",
-            }
-            for k in ("kp", "kd", "delay", "lag"):
-                if k in other and k not in named:
-                    note = "the law of [controller], under which the recording was made"
-                    sheet.changes.append(
-                        RobotChange(
-                            effect=k,
-                            location=joint,
-                            quantity=k,
-                            place=joint,
-                            value=own[k][1],
-                            before=own[k][0],
-                            unit=units[k],
-                            note=note,
-                        )
-                    )
-            if {"lowest", "highest"} & other and not {"force", "lowest", "highest"} & named:
-                note = "the limit of [controller], under which the recording was made"
-                sheet.changes.append(
-                    RobotChange(
-                        effect="saturation",
-                        location=joint,
-                        quantity="force",
-                        place=joint,
-                        value=None,
-                        before=None,
-                        unit=sheet.force_unit(joint),
-                        note=note,
-                    )
-                )
+                low, high = actuator.force
+                left.append(f"{joint} ({low:g} to {high:g} {sheet.force_unit(joint)})")
+            apart = apart_from(actuator, now)
+            if apart:
+                fields |= self._actuator(joint, set(apart), now)
+            sheet.record(list(stated_changes(sheet, joint, apart)))
         if left:
             self.notes.append(UNLIMITED.format(listed(left)))
 
     def _actuator(
         self, joint: str, changed: set[str], now: JointNumbers
     ) -> dict[tuple[str, str], Field | None]:
-        found, a = self.file.actuator(joint), self.file.actuator_id(joint)
-        tree = self.sheet.own_tree
-        kind = tree.actuators[joint].kind if joint in tree.actuators else ""
-        names = changed | ({"force"} if changed & {"lowest", "highest"} else set())
-        wanted = "position" if self.sheet.driven else "motor"
-        if (
-            found is None
-            or a < 0
-            or kind != wanted
-            or "ki" in changed
-            or (self.sheet.driven and self.sheet.kind != "pd")
-        ):
-            return {(k, joint): None for k in names}
+        names = set(changed)
+        if changed & {"lowest", "highest"}:
+            names.add("force")
+        found = self._drive_of(joint, changed)
+        if found is None:
+            return {(name, joint): None for name in names}
         text, element = found
         now = self._limited(joint, now)
-        words = DriveWords(self.file.model, a, self.sheet.driven)
+        words = DriveWords(self.file.model, self.file.actuator_id(joint), self.sheet.driven)
         attributes, tag = words.attributes(changed, now, element.name)
         if tag != element.name:
             text.rename(element, tag)
         text.set(element, {k: _as_text(v) for k, v in attributes.items()})
         self._widen(joint, now)
         self.ops.append(Op("actuator", joint, words.general(changed, now)))
-        at, law = f"{tag}[{joint}]@", self.sheet.sampled > 0 and self.sheet.driven
-        how = APPROXIMATE if law else EXACT
-        note = (
-            f"the law ran every {self.sheet.sampled:g} s, MuJoCo's runs at each of its steps"
-            if law
-            else ""
-        )
-        general = tag == "general"
-        name = {
-            "kp": "gainprm, biasprm" if general else "kp",
-            "kd": "biasprm" if general else "kv",
-            "offset": "biasprm",
-            "torque": "biasprm",
-            "drive": "gear",
-            "delay": "delay, nsample, interp",
-            "lag": "dyntype, dynprm" if general else "timeconst",
-        }
-        gear = float(self.file.model.actuator_gear[a, 0])
-        geared = names & {"kp", "kd", "offset", "torque", "force", "lowest", "highest"}
-        at_joint = (
-            f"at the joint: the file's number stands before gear {gear:g}" if gear != 1 else ""
-        )
-        notes = dict.fromkeys(names, note) | dict.fromkeys(geared, joined(note, at_joint))
-        out: dict[tuple[str, str], Field | None] = {
-            (k, joint): Field(at + name.get(k, "forcerange"), how, notes[k]) for k in names
-        }
-        if ("torque", joint) in out:
-            limited = np.isfinite([now.lowest, now.highest]).any()
-            shifted = "forcerange is shifted by as much" if limited else ""
-            out["torque", joint] = Field(f"{at}biasprm", EXACT, joined(shifted, notes["torque"]))
-        if ("delay", joint) in out:
-            out["delay", joint] = Field(at + name["delay"], EXACT, joined(HISTORY, note))
-        forced = [k for k in ("force", "lowest", "highest") if (k, joint) in out]
-        if forced and not np.isfinite([now.lowest, now.highest]).all():
-            one_sided = joined(
-                f"no limit in one direction: {ENDLESS:g} stands for it", notes["force"]
-            )
-            out |= {(k, joint): Field(f"{at}forcerange", APPROXIMATE, one_sided) for k in forced}
-        return out
+        place = f"{tag}[{joint}]@"
+        fields = drive_fields(self.sheet, place, names, now, words.gear)
+        return {(name, joint): field for name, field in fields.items()}
+
+    def _drive_of(self, joint: str, changed: set[str]) -> tuple[XmlText, Element] | None:
+        """The one actuator of a joint, where an element of its kind can say what changed."""
+        sheet = self.sheet
+        actuator = sheet.own_tree.actuators.get(joint)
+        wanted = "position" if sheet.driven else "motor"
+        if actuator is None or actuator.kind != wanted or self.file.actuator_id(joint) < 0:
+            return None
+        other_law = sheet.driven and sheet.kind != "pd"
+        if other_law or "ki" in changed:
+            return None
+        return self.file.actuator(joint)
 
     def _limited(self, joint: str, now: JointNumbers) -> JointNumbers:
         """The numbers with the file's limits where a law of the recording states none: what it does

@@ -19,8 +19,23 @@ HISTORY = f"seconds; nsample is enough for time steps of {1e3 * SHORTEST:g} ms a
 #: Attributes of <position> that <general> has not.
 OWN_WORDS = ("kp", "kv", "dampratio", "timeconst", "inheritrange")
 
+#: Attributes of <general> that say a number of a drive, those of other elements, and of both.
+OF_GENERAL = {"kp": "gainprm, biasprm", "kd": "biasprm", "lag": "dyntype, dynprm"}
+OF_OTHERS = {"kp": "kp", "kd": "kv", "lag": "timeconst"}
+OF_BOTH = {
+    "offset": "biasprm",
+    "torque": "biasprm",
+    "drive": "gear",
+    "delay": "delay, nsample, interp",
+}
 #: Numbers of a position law at one joint.
 OF_LAW = ("kp", "kd", "ki", "offset", "lowest", "highest", "delay", "lag")
+
+
+def attribute_of(number: str, tag: str) -> str:
+    """The attributes of an element `tag` that say a number of a drive."""
+    own = OF_GENERAL if tag == "general" else OF_OTHERS
+    return {**OF_BOTH, **own}.get(number, "forcerange")
 
 
 @dataclass(frozen=True)
@@ -32,6 +47,11 @@ class DriveWords:
     model: Any
     actuator: int
     driven: bool
+
+    @property
+    def gear(self) -> float:
+        """The actuator's gear in the file."""
+        return float(self.model.actuator_gear[self.actuator, 0])
 
     def attributes(
         self, changed: set[str], now: JointNumbers, tag: str
@@ -64,7 +84,7 @@ class DriveWords:
 
     def general(self, changed: set[str], now: JointNumbers) -> dict[str, Any]:
         """The quantities that changed in MuJoCo's general terms."""
-        gear = float(self.model.actuator_gear[self.actuator, 0]) * now.drive
+        gear = self.gear * now.drive
         own: dict[str, Any] = {}
         if changed & {"kp", "kd", "offset", "torque"}:
             own |= self._gains(gear, now)

@@ -140,6 +140,13 @@ def outcome(content: Any) -> ExportOutcome:
     )
 
 
+def tables(listed: Any) -> list[Mapping[str, Any]]:
+    """The tables of a list in a result; none of what is no list."""
+    if not isinstance(listed, list):
+        return []
+    return [entry for entry in listed if isinstance(entry, Mapping)]
+
+
 def _name(value: Any, where: str) -> str:
     if not isinstance(value, str) or not re.fullmatch(NAME, value):
         raise UsageError(f"{where} of the result: {str(value)[:60]!r} is not a name")

@@ -18,7 +18,7 @@ import numpy as np
 from jaxid.base.numbers import is_number
 from jaxid.numerics.drawn import beside_the_others, draws
 from jaxid.numerics.truncated import positive
-from jaxid.robots.export.outcome import ExportOutcome, Number
+from jaxid.robots.export.outcome import ExportOutcome, Number, tables
 
 
 #: Standard deviations to either side of a 95 % interval of a normal distribution.
@@ -129,15 +129,19 @@ def _one_by_one(
 def _identified(found: ExportOutcome) -> dict[str, Number]:
     """Base parameters and friction, by the names that a fit would have."""
     out: dict[str, Number] = {}
-    listed, friction = found.content.get("base_parameters"), found.content.get("friction")
-    for r in listed if isinstance(listed, list) else []:
-        if isinstance(r, Mapping) and (n := _number(r)) is not None:
-            out[str(r.get("name"))[:200]] = n
-    for r in friction if isinstance(friction, list) else []:
-        for k, entry in r.items() if isinstance(r, Mapping) else ():
-            if (n := _number(entry)) is not None:
-                out[f"{k}@{r.get('joint')}"[:200]] = n
+    for row in tables(found.content.get("base_parameters")):
+        _add(out, str(row.get("name")), row)
+    for row in tables(found.content.get("friction")):
+        for key, entry in row.items():
+            _add(out, f"{key}@{row.get('joint')}", entry)
     return out
+
+
+def _add(numbers: dict[str, Number], name: str, entry: Any) -> None:
+    """Adds what is a number."""
+    number = _number(entry)
+    if number is not None:
+        numbers[name[:200]] = number
 
 
 def _number(entry: Any) -> Number | None:
@@ -165,24 +169,36 @@ def _intervals(
     trades for it moves with it to one side, and by what is its own to both.
     """
     known = {name: n for name, n in numbers.items() if n.std is not None}
-    down = {name: NORMAL_95 * (n.std or 0.0) for name, n in known.items()}
-    up = dict(down)
     sides = {name: _side(n) for name, n in known.items()}
-    names, C = _shared(found, known)
+    alone = {name: NORMAL_95 * (n.std or 0.0) for name, n in known.items()}
+    reach = {name: (size, size) for name, size in alone.items()} | _beside_bounds(found, sides)
+    out = {}
+    for name, n in known.items():
+        down, up = reach[name]
+        if sides[name] > 0:
+            down = 0.0
+        if sides[name] < 0:
+            up = 0.0
+        out[name] = max(n.lower, n.value - down), min(n.upper, n.value + up)
+    return out
+
+
+def _beside_bounds(
+    found: ExportOutcome, sides: Mapping[str, float]
+) -> dict[str, tuple[float, float]]:
+    """(down, up) of 95 % of each number that may trade for one that stands at its bound."""
+    names, C = _shared(found, sides)
     at = [k for k, name in enumerate(names) if sides[name]]
-    if at and np.isfinite(C).all():
-        pull = C[:, at] @ np.linalg.pinv(C[np.ix_(at, at)], hermitian=True)
-        own = np.maximum(np.diag(C) - np.einsum("ij,ij->i", pull, C[:, at]), 0.0)
-        reach = pull * (np.sqrt(np.diag(C)[at]) * [sides[names[k]] for k in at])
-        for k, name in enumerate(names):
-            down[name] = NORMAL_95 * float(np.sqrt(own[k] + np.sum(np.minimum(reach[k], 0.0) ** 2)))
-            up[name] = NORMAL_95 * float(np.sqrt(own[k] + np.sum(np.maximum(reach[k], 0.0) ** 2)))
-    for name, side in sides.items():
-        down[name] = 0.0 if side > 0 else down[name]
-        up[name] = 0.0 if side < 0 else up[name]
-    low = {name: max(n.lower, n.value - down[name]) for name, n in known.items()}
-    high = {name: min(n.upper, n.value + up[name]) for name, n in known.items()}
-    return {name: (low[name], high[name]) for name in known}
+    if not at or not np.isfinite(C).all():
+        return {}
+    variance = np.diag(C)
+    pull = C[:, at] @ np.linalg.pinv(C[np.ix_(at, at)], hermitian=True)
+    own = np.maximum(variance - np.einsum("ij,ij->i", pull, C[:, at]), 0.0)
+    away = [sides[names[k]] for k in at]
+    reach = pull * (np.sqrt(variance[at]) * away)
+    down = NORMAL_95 * np.sqrt(own + np.sum(np.minimum(reach, 0.0) ** 2, 1))
+    up = NORMAL_95 * np.sqrt(own + np.sum(np.maximum(reach, 0.0) ** 2, 1))
+    return {name: (float(down[k]), float(up[k])) for k, name in enumerate(names)}
 
 
 def _side(n: Number) -> float:

@@ -10,12 +10,12 @@ from typing import Any
 from jaxid.base.display import Printed
 from jaxid.base.errors import nearest, UsageError
 from jaxid.base.small_files import read_small, TooLarge
-from jaxid.base.wording import listed, number
+from jaxid.base.wording import listed, number, stem_and_number
 from jaxid.robots.export import mjcf
 from jaxid.robots.export.apply import carried
 from jaxid.robots.export.code_beside import left_out
 from jaxid.robots.export.kept import kept
-from jaxid.robots.export.outcome import ExportOutcome, outcome
+from jaxid.robots.export.outcome import ExportOutcome, outcome, tables
 from jaxid.robots.export.ranges import ranges_of
 from jaxid.robots.export.sheet import of_tree, Sheet
 from jaxid.robots.export.stepped import shifted, stepped
@@ -244,15 +244,15 @@ def _joints(found: ExportOutcome) -> list[str]:
     if found.robot.get("joints"):
         return list(found.robot["joints"])
     if found.kind == "identification":
-        friction = found.content.get("friction") or []
-        return [str(r.get("joint")) for r in friction if isinstance(r, Mapping)]
+        return [str(row.get("joint")) for row in tables(found.content.get("friction"))]
     places, count = [], 1
     for name in found.parameters:
         field, at_sign, place = name.partition("@")
         if at_sign:
             places.append(place)
         else:
-            count = max(count, int(field[len(field.rstrip("0123456789")) :] or 1))
+            _, joint = stem_and_number(field)
+            count = max(count, int(joint or 1))
     places += [_joint_of(e.location) for e in found.effects]
     shown = [j for j in dict.fromkeys(places) if j not in ("tau", "force", "u")]
     for k in range(len(shown), count):

@@ -4,11 +4,10 @@ written a second time.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 from jaxid.robots.export.law_code import own_number
-from jaxid.robots.export.outcome import ExportOutcome, Named, Number
+from jaxid.robots.export.outcome import ExportOutcome, Named, Number, tables
 from jaxid.robots.export.sheet import JointNumbers, Sheet
 from jaxid.robots.steps import nearest, Steps
 
@@ -47,11 +46,10 @@ def stepped(found: ExportOutcome, sheet: Sheet) -> tuple[ExportOutcome, tuple[st
 
 
 def _stated(found: ExportOutcome) -> dict[str, float]:
-    rows = found.content.get("stated")
     out = {}
-    for row in rows if isinstance(rows, list) else []:
-        value = row.get("stated") if isinstance(row, Mapping) else None
-        if isinstance(row, Mapping) and isinstance(value, int | float):
+    for row in tables(found.content.get("stated")):
+        value = row.get("stated")
+        if isinstance(value, int | float):
             out[f"{row.get('parameter')}@{row.get('joint')}"] = float(value)
     return out
 
