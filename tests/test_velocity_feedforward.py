@@ -123,7 +123,7 @@ def test_a_goal_that_seems_late_may_be_followed_by_its_rate():
     """The simulations of a check are told here, as its own would be."""
     binding = bind(robot(), recorded(0.0, seconds=1.0))
     late = DataFinding("row_shift", "lift_cmd", 2.0, "lift moves before lift_cmd.", decisive=True)
-    shown = Shown(late, Mending({"lift_cmd": {"shift": 2.0}}))
+    shown = Shown(late, Mending({"lift_cmd": {"shift": 2}}))
 
     def gap(led):
         def left(_binding, data, effects):
