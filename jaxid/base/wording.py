@@ -147,10 +147,10 @@ def run_words(name: str) -> str:
 
 def listed(names: Iterable[str]) -> str:
     """`a`, `a and b`, `a, b and c`."""
-    names = list(names)
-    return (
-        names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}" if names else ""
-    )
+    *first, last = [*names] or [""]
+    if not first:
+        return last
+    return f"{', '.join(first)} and {last}"
 
 
 def as_unit(have: str, wanted: str) -> str:

@@ -334,39 +334,37 @@ def _confirmed(
     led = gap(binding, data, (*laws, *leads)) if leads and held else None
     out = []
     for s in shown:
-        if not s.mending:
-            out.append(s)
-            continue
         if led is not None and after > GONE * led and before_its_goal(binding, s.finding):
             out.append(Shown(or_led(s.finding, before, after, led), Mending()))
-            continue
-        said = (
-            ""
-            if held
-            else (
-                f" A simulation does not bear it out ({before:.3g} to {after:.3g} times the noise)."
-            )
-        )
-        said += (
-            " It was simulated beside any friction and spring that the model may lack."
-            if laws
-            else ""
-        )
-        finding = replace(
-            s.finding,
-            gap_before=before,
-            gap_if_mended=after,
-            text=s.finding.text + said,
-            decisive=held,
-        )
-        out.append(Shown(finding, s.mending if held else Mending()))
+        elif s.mending:
+            out.append(_borne_out(s, before, after, beside_laws=bool(laws)))
+        else:
+            out.append(s)
     return out
+
+
+def _borne_out(s: Shown, before: float, after: float, beside_laws: bool) -> Shown:
+    """What was shown with the gaps by simulation; a question where these do not bear it out."""
+    held = after <= GONE * before
+    said = ""
+    if not held:
+        said = f" A simulation does not bear it out ({before:.3g} to {after:.3g} times the noise)."
+    if beside_laws:
+        said += " It was simulated beside any friction and spring that the model may lack."
+    finding = replace(
+        s.finding,
+        gap_before=before,
+        gap_if_mended=after,
+        text=s.finding.text + said,
+        decisive=held,
+    )
+    return Shown(finding, s.mending if held else Mending())
 
 
 def _leads(binding: Binding, shown: Iterable[Shown]) -> list[str]:
     """The effects that look like goals which are recorded late, where those are found."""
-    late = [s.finding for s in shown if s.mending and before_its_goal(binding, s.finding)]
-    return [f"{VelocityFeedforward.name}@{finding.channel}" for finding in late]
+    late = [s.finding.channel for s in shown if before_its_goal(binding, s.finding)]
+    return [f"{VelocityFeedforward.name}@{channel}" for channel in late]
 
 
 def _nothing_to_mend(before: float, after: float) -> bool:

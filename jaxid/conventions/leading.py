@@ -20,13 +20,13 @@ def before_its_goal(binding: Binding, finding: DataFinding) -> bool:
 
 
 def or_led(finding: DataFinding, before: float, after: float, led: float) -> DataFinding:
-    """The finding as a question beside the effect: gaps by simulation, times the noise, as recorded,
-    mended, and with the effect.
+    """The finding as a question beside the effect. Gaps by simulation are multiples of the noise:
+    as recorded, mended, and with the effect.
     """
     text = (
         f"{finding.text} A drive that follows the rate of its goal moves early too:"
-        f" {times(led)} times the noise is left with {VelocityFeedforward.name}, {times(after)} with"
-        f" {finding.channel} taken earlier, {times(before)} as recorded. Nothing is shifted."
+        f" {times(led)} times the noise is left with {VelocityFeedforward.name}, {times(after)}"
+        f" with {finding.channel} taken earlier, {times(before)} as recorded. Nothing is shifted."
     )
     return replace(
         finding,

@@ -101,7 +101,7 @@ def run_replay(dataset: Dataset, robot: Path, against: Path | None) -> Replay:
         ours = in_mujoco(commanded(data, beside), robot, tree, source, starts, notes)
         notes += _of_code(beside)
     else:
-        other, source, starts = "against", None, measured
+        other, source, starts, beside = "against", None, measured, ()
         there = _plain_tree(against)
         if there.leading != tree.leading:
             raise UsageError(
@@ -112,7 +112,7 @@ def run_replay(dataset: Dataset, robot: Path, against: Path | None) -> Replay:
         simulated = in_mujoco(data, against, there, None, starts, notes)
     before = _before(data, source, starts)
     rows, runs = _compared(data, tree, ours, simulated, other, before)
-    if source is None or not left_out(source.rows):
+    if not left_out(beside):
         notes += _worse(rows)
     notes += _verdict(rows, source, other)
     return Replay(

@@ -202,14 +202,19 @@ def in_place_of(weighed: Weighed, units: Sequence[int]) -> dict[tuple[str, str],
     found: dict[tuple[str, str], float] = {}
     for asked in weighed.asked:
         own = standing & {every[u].place for u in asked.units}
-        for s, weight in zip(asked.found.sets, asked.found.weights, strict=True):
+        weighed_sets = zip(asked.found.sets, asked.found.weights, strict=True)
+        for s, weight in weighed_sets:
             places = {every[asked.units[k]].place for k in s}
-            for place in () if own <= places else places:
-                found[place] = found.get(place, 0.0) + float(weight)
+            if own <= places:
+                continue
+            for place in places:
+                before = found.get(place, 0.0)
+                found[place] = before + float(weight)
     for u in units:
         for v, p in weighed.swaps.get(u, {}).items():
             place = every[v].place
-            found[place] = max(found.get(place, 0.0), p)
+            before = found.get(place, 0.0)
+            found[place] = max(before, p)
     others = [place for place in found if place[0] not in OVER and place not in standing]
     return {place: min(found[place], 1.0) for place in others}
 

@@ -39,8 +39,7 @@ def left_out(rows: Iterable[ExportRow]) -> str:
 
 
 def _told(rows: Iterable[ExportRow]) -> str:
-    told = [f"{row.effect} at {row.location}" for row in rows]
-    return listed(told) if told else ""
+    return listed([f"{row.effect} at {row.location}" for row in rows])
 
 
 def _left_to_code(rows: Iterable[ExportRow]) -> list[ExportRow]:

@@ -62,7 +62,7 @@ class ExportRow:
     def of(cls, entry: Mapping[str, Any]) -> ExportRow:
         """A row as `to_dict` wrote it; what is missing is empty."""
         words = ("effect", "location", "field", "unit", "how", "note")
-        return cls(value=entry.get("value"), **{word: str(entry.get(word) or "") for word in words})
+        return cls(value=entry.get("value"), **{word: str(entry.get(word, "")) for word in words})
 
 
 @dataclass
