@@ -17,7 +17,6 @@ from jaxid.models import Joint, Robot
 from jaxid.models.effects import VelocityFeedforward
 from jaxid.problem.binding import bind
 from jaxid.robots.export.code_beside import commanded, left_out, on_commands
-from jaxid.robots.export.law_code import command_law
 from jaxid.robots.export.target import ExportRow
 
 
@@ -90,8 +89,10 @@ def test_it_is_asked_of_goals_alone():
 
 def test_its_code_beside_a_file_is_the_effect():
     """Goals that change at each sample, and ones that stand in between."""
-    law = command_law("velocity_feedforward", {"lead": LEAD})
-    assert law is not None
+    beside: dict[str, Any] = {}
+    exported: Any = VelocityFeedforward.export_law
+    exec(exported.memory, beside)
+    law = beside["VelocityFeedforward"](lead=LEAD)
     goals = np.array([0.1, 0.3, 0.2, 0.2, 0.2, 0.5])
     handed = [law(goal, PERIOD) for goal in goals]
     rate = np.diff(goals, prepend=goals[0]) / PERIOD

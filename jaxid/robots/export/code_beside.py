@@ -6,13 +6,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxid.base.numbers import is_finite
 from jaxid.base.wording import listed
 from jaxid.data.dataset import Dataset, Experiment
-from jaxid.robots.export.law_code import command_law
+from jaxid.dynamics.effect import Command, Signals
+from jaxid.dynamics.parameter import specs, with_fields
+from jaxid.numerics.precision import float64
+from jaxid.robots.export.law_code import kind_of, law_of
 from jaxid.robots.export.target import CODE, ExportRow
 
 
@@ -51,13 +57,29 @@ def _has_numbers(value: object) -> bool:
 
 
 def _on_command(row: ExportRow) -> bool:
-    return command_law(row.effect, row.value) is not None
+    law = law_of(row.effect)
+    return law is not None and law.port == "command"
 
 
 def _handed_on(e: Experiment, column: int, row: ExportRow) -> Experiment:
-    law = command_law(row.effect, row.value)
-    assert law is not None
-    steps = np.diff(e.t, prepend=2 * e.t[0] - e.t[1])
-    u = e.u.copy()
-    u[:, column] = [law(value, dt) for value, dt in zip(e.u[:, column], steps, strict=True)]
-    return replace(e, u=u)
+    """The run with an input as the effect hands it on at each sample."""
+    kind: Any = kind_of(row.effect)
+    told = {name: spec.value for name, spec in specs(kind).items()} | row.value
+    numbers = {name: np.array([float(told[name])]) for name in specs(kind)}
+    with float64():
+        t, u = jnp.asarray(e.t), jnp.asarray(e.u[:, column])
+        h = jnp.mean(jnp.diff(t))
+        effect = with_fields(kind.sampled(float(h)), numbers)
+
+        def step(z: Any, now: tuple[Any, Any]) -> tuple[Any, Any]:
+            moment, value = now
+            own, still = value[None], jnp.zeros(1)
+            command = Command(moment, h, own, own, lambda late: jnp.interp(moment - late, t, u))
+            signals = Signals(moment, still, still, still, h, command, still)
+            handed, z = effect(own, signals, z)
+            return z, handed[0]
+
+        _, after = jax.lax.scan(step, effect.start(u[:1]), (t, u))
+        changed = e.u.copy()
+        changed[:, column] = np.asarray(after)
+    return replace(e, u=changed)

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any
-
-import numpy as np
+from collections.abc import Iterable, Mapping
 
 from jaxid.dynamics.effect import Effect, OWN_EFFECTS
 from jaxid.dynamics.export_law import ExportLaw, in_python, SIGNALS, StandsFor
@@ -89,19 +86,6 @@ def code(changes: Iterable[RobotChange], head: str, tail: str = "", library: str
         if tables[port]:
             body.append(f"\n#: {meaning}\n{name} = [\n" + "\n".join(tables[port]) + "\n]\n")
     return "\n".join(body) + tail
-
-
-def command_law(effect: str, numbers: Mapping[str, float]) -> Callable[[Any, float], Any] | None:
-    """What an effect makes of a command: called once a step with (u, dt). None where it acts
-    elsewhere or has no code.
-    """
-    law, kind = law_of(effect), kind_of(effect)
-    if law is None or kind is None or law.port != "command":
-        return None
-    own = {name: float(numbers.get(name, spec.value)) for name, spec in specs(kind).items()}
-    namespace: dict[str, Any] = {"xp": np}
-    exec(law.memory, namespace)
-    return eval(_term(law, own), namespace)
 
 
 def c_code(changes: Iterable[RobotChange], head: str) -> str:
