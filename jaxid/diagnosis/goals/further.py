@@ -94,6 +94,8 @@ def _more_by_runs(
     ask: GoalsQuestion, decider: Decider, search: SearchResult, base: Binding
 ) -> tuple[Decider, SearchResult] | None:
     """The same of the effects that leave least beside what stands, by simulation."""
+    if ask.progress:
+        ask.progress("simulated", decider.done, decider.total, "every effect at one size")
     chosen, before, kinds = search.chosen, decider.bench.binding, _others(ask, search)
     every = [*_kinds(chosen.effects), *(kind.name for kind in kinds)]
     bench = ask.made(ask.known(every, before.inflation))
