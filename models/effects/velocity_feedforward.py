@@ -16,7 +16,7 @@ from jaxid.dynamics.parameter import param, Quantity
 
 #: Once a step of `dt` s, in a simulator.
 CODE = '''class VelocityFeedforward:
-    """goal + lead d(goal)/dt; the rate is a change of the goal by the shortest time between two."""
+    """goal + lead d(goal)/dt, the rate a change of the goal by the shortest time between two."""
 
     def __init__(self, lead):
         self.lead, self.goal, self.rate = lead, None, 0.0
