@@ -66,7 +66,7 @@ def recorded(lead: float, late: int = 0, noise: float = 1e-4, seconds: float = 8
     )
 
 
-@pytest.mark.parametrize("late", [0, 2])
+@pytest.mark.parametrize("late", [pytest.param(0, marks=pytest.mark.slow), 2])
 def test_a_run_with_it_is_that_of_mujoco(late):
     data = recorded(LEAD, late, noise=0.0, seconds=2.0)
     numbers = {"velocity_feedforward": {"lead": LEAD}, "input_delay": {"delay": late * PERIOD}}
