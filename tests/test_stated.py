@@ -88,44 +88,18 @@ def test_a_ratio_of_two_is_said_as_that():
     assert all(s.deviation is None for s in told if s is not wrong)
 
 
-def test_of_two_where_one_is_stated_as_nothing_both_ways_are_said():
-    """Dry friction, stated 0, and where a mass is: the data tell friction + 100 mass's place."""
-    names, units = ("friction", "com"), ("N m", "m")
-    line = np.array([[1.0, -0.01], [-0.01, 1e-4]])
-    C = 100.0 * line + 1e-4 * np.diag([1.0, 1e-4])
-    fitted, stated = (4.0, -0.26), (0.0, -0.3)
+def the_one_refuted(
+    names: tuple[str, ...],
+    units: tuple[str, ...],
+    fitted: tuple[float, ...],
+    stated: tuple[float, ...],
+    C: np.ndarray,
+) -> StatedNumber:
+    """The only row that is refuted, of numbers of one axis that were fitted with a covariance."""
     found, rows = {}, {}
     for k, name in enumerate(names):
         std = float(np.sqrt(C[k, k]))
-        found[k] = Estimate(fitted[k], std, units[k], -100.0, 100.0)
-        off = (fitted[k] - stated[k]) / std
-        rows[k] = StatedNumber(
-            joint="axis",
-            link="",
-            parameter=name,
-            stated=stated[k],
-            fitted=fitted[k],
-            std=std,
-            deviation=off,
-            text=f"{name}: …",
-            unit=units[k],
-        )
-    told = judged(rows, names, found, Covariance(names, C))
-    (wrong,) = [s for s in told if s.refuted]
-    assert "friction of axis is 8.0" in wrong.text and "com of axis is -0.22" in wrong.text
-    assert wrong.text.startswith("either ") and "the data do not tell which" in wrong.text
-
-
-def test_a_sum_that_the_data_do_not_tell_is_not_said():
-    """The data tell damping and twice kd; their sum, product, ratio and difference hardly."""
-    names = ("damping", "kd")
-    along = np.array([20.0, -10.0])
-    C = np.outer(along, along) + 0.01 * np.eye(2)
-    fitted, stated = (15.0, 190.0), (12.0, 200.0)
-    found, rows = {}, {}
-    for k, name in enumerate(names):
-        std = float(np.sqrt(C[k, k]))
-        found[k] = Estimate(fitted[k], std, "N m s/rad", -1000.0, 1000.0)
+        found[k] = Estimate(fitted[k], std, units[k], -1000.0, 1000.0)
         rows[k] = StatedNumber(
             joint="axis",
             link="",
@@ -135,9 +109,27 @@ def test_a_sum_that_the_data_do_not_tell_is_not_said():
             std=std,
             deviation=(fitted[k] - stated[k]) / std,
             text=f"{name}: …",
-            unit="N m s/rad",
+            unit=units[k],
         )
     (wrong,) = [s for s in judged(rows, names, found, Covariance(names, C)) if s.refuted]
+    return wrong
+
+
+def test_of_two_where_one_is_stated_as_nothing_both_ways_are_said():
+    """Dry friction, stated 0, and where a mass is: the data tell friction + 100 mass's place."""
+    line = np.array([[1.0, -0.01], [-0.01, 1e-4]])
+    C = 100.0 * line + 1e-4 * np.diag([1.0, 1e-4])
+    wrong = the_one_refuted(("friction", "com"), ("N m", "m"), (4.0, -0.26), (0.0, -0.3), C)
+    assert "friction of axis is 8.0" in wrong.text and "com of axis is -0.22" in wrong.text
+    assert wrong.text.startswith("either ") and "the data do not tell which" in wrong.text
+
+
+def test_a_sum_that_the_data_do_not_tell_is_not_said():
+    """The data tell damping and twice kd; their sum, product, ratio and difference hardly."""
+    along = np.array([20.0, -10.0])
+    C = np.outer(along, along) + 0.01 * np.eye(2)
+    units = ("N m s/rad",) * 2
+    wrong = the_one_refuted(("damping", "kd"), units, (15.0, 190.0), (12.0, 200.0), C)
     assert wrong.text.startswith("either ")
     assert wrong.std is not None and wrong.deviation is not None
     assert abs(wrong.fitted - wrong.stated) > 3 * wrong.std

@@ -30,7 +30,7 @@ def commanded(dataset: Dataset, rows: Iterable[ExportRow]) -> Dataset:
     for row in _left_to_code(rows):
         if _on_command(row) and row.location in dataset.input_names:
             column = dataset.input_names.index(row.location)
-            runs = tuple(_handed_on(e, column, row) for e in runs)
+            runs = tuple(_handed_on(e, column, row, dataset.sampling_time) for e in runs)
     return replace(dataset, experiments=runs)
 
 
@@ -61,15 +61,14 @@ def _on_command(row: ExportRow) -> bool:
     return law is not None and law.port == "command"
 
 
-def _handed_on(e: Experiment, column: int, row: ExportRow) -> Experiment:
-    """The run with an input as the effect hands it on at each sample."""
+def _handed_on(e: Experiment, column: int, row: ExportRow, period: float) -> Experiment:
+    """The run with an input as the effect hands it on at each sample, `period` s apart."""
     kind: Any = kind_of(row.effect)
     told = {name: spec.value for name, spec in specs(kind).items()} | row.value
     numbers = {name: np.array([float(told[name])]) for name in specs(kind)}
     with float64():
         t, u = jnp.asarray(e.t), jnp.asarray(e.u[:, column])
-        h = jnp.mean(jnp.diff(t))
-        effect = with_fields(kind.sampled(float(h)), numbers)
+        effect, h = with_fields(kind.sampled(period), numbers), jnp.asarray(period)
 
         def step(z: Any, now: tuple[Any, Any]) -> tuple[Any, Any]:
             moment, value = now
