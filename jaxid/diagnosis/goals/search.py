@@ -26,7 +26,7 @@ from jaxid.fitting.problem_builder import (
     ProblemBuilder,
     touches,
 )
-from jaxid.fitting.secant import descend_on_secants, Slopes
+from jaxid.fitting.secant import descend_on_secants, residuals, Slopes
 from jaxid.fitting.wide_slopes import descend_widely, WIDTHS
 from jaxid.problem.binding import Binding
 from jaxid.problem.problem import FitProblem
@@ -75,7 +75,7 @@ class Decider:
         ]
         p = self.bench.problem(OutputError(), "fit", free, theta)
         if touches(self.bench.binding):
-            path, spent = self._touching(p)
+            path, spent = self._touching(p, like)
         elif like is None:
             path, self.slopes, spent = descend_on_secants(p, [p.z(theta)], None, *NEAR)
         else:  # its own numbers, or those of the model that it is like
@@ -89,13 +89,20 @@ class Decider:
         self.done, self.evaluations = self.done + 1, self.evaluations + spent
         return self._judged(effects, path)
 
-    def _touching(self, p: FitProblem) -> tuple[Path, int]:
-        """A descent on the fit runs that touch, and how often these were simulated."""
-        if p.free.size:
-            every = range(len(p.records))
-            return descend_over_stretches(self.bench, "fit", p.free, p.base, every)
-        starts = estimate_starts(self.bench, "fit", [p.base])[0]
-        return descend_widely(p, p.z(p.base, starts), len(WIDTHS))
+    def _touching(self, p: FitProblem, like: Path | None) -> tuple[Path, int]:
+        """A descent on the fit runs that touch, and how often these were simulated. Where those of
+        `like` are at the noise with these numbers, it goes on from there.
+        """
+        if not p.free.size:
+            starts = estimate_starts(self.bench, "fit", [p.base])[0]
+            return descend_widely(p, p.z(p.base, starts), len(WIDTHS))
+        if like is not None:
+            z = p.z(p.base, like.problem.starts(like.z))
+            (left,) = residuals(p, [z])
+            if np.mean(left**2) <= level(left.size):
+                return descend_widely(p, z, TOUCHING)
+        every = range(len(p.records))
+        return descend_over_stretches(self.bench, "fit", p.free, p.base, every)
 
     def polished(self, h: Hypothesis) -> Hypothesis:
         """The same from where its descent ended, with slopes of its own: those of another model
