@@ -12,7 +12,7 @@ from jaxid.base.errors import UsageError
 from jaxid.fitting.least_squares import levenberg_marquardt, Path
 from jaxid.fitting.scale_free import shrinking
 from jaxid.fitting.secant import residuals
-from jaxid.fitting.wide_slopes import descend_widely, is_noise, SLIGHT
+from jaxid.fitting.wide_slopes import descend_widely, is_noise
 from jaxid.problem.beginnings import NESTED
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
@@ -375,27 +375,37 @@ def descend_over_stretches(
     starts, path, spent = None, None, 0
     starts_alone, lost = not len(free), False
     for level in reversed(range(len(NESTED))):
-        if lost and level > 0:
-            continue
         stretches = [runs.heads[run][level] for run in which]
         if level == 0:
             stretches = [runs.records[run] for run in which]
-        p = bench.problem(OutputError(), split, free, theta, stretches)
-        z = p.z(theta, starts)
-        roughly = starts_alone and level > 0
-        if roughly and starts is not None:
-            spent += 1
-            if _followed(p, z):
+        elif lost:
+            continue
+        else:  # numbers that a stretch does not tell stay where they are
+            held = bench.problem(OutputError(), split, [], theta, stretches)
+            begun, simulated = _begun_on(held, held.z(theta, starts), known=starts is not None)
+            spent += simulated
+            followed = is_noise(2 * begun.cost, begun.count)
+            if starts_alone or followed or starts is None:
+                starts = held.starts(begun.z)
+            if starts_alone or followed:
+                lost = not begun.loss <= LOST
                 continue
-        rounds = 1 if lost else ROUNDS
-        path, simulated = descend_widely(p, z, rounds, ROUGHLY if roughly else SLIGHT)
-        lost = starts_alone and not path.loss <= LOST
+        p = bench.problem(OutputError(), split, free, theta, stretches)
+        path, simulated = descend_widely(p, p.z(theta, starts), 1 if lost else ROUNDS)
         theta, starts = p.theta(path.z), p.starts(path.z)
         spent += simulated
         if not path.loss <= most:
             return replace(path, cost=np.inf), spent
     assert path is not None
     return path, spent
+
+
+def _begun_on(p: FitProblem, z: np.ndarray, known: bool) -> tuple[Path, int]:
+    """How runs begin by a stretch, roughly, from z, and how many times it was simulated; where
+    that is `known` and followed, z itself.
+    """
+    rounds = 0 if known and _followed(p, z) else ROUNDS
+    return descend_widely(p, z, rounds, ROUGHLY)
 
 
 def _followed(p: FitProblem, z: np.ndarray) -> bool:
