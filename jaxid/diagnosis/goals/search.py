@@ -7,14 +7,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from jaxid.diagnosis.evidence import held_out, knowledge
+from jaxid.diagnosis.evidence import held_out, knowledge, level
 from jaxid.diagnosis.goals.left_open import left_open
 from jaxid.diagnosis.goals.propose import as_vector, candidates_of, ProposedSets
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
 from jaxid.diagnosis.probability import log_evidence, normalised, RULE
 from jaxid.diagnosis.selection import in_lead, joint_loss
 from jaxid.diagnosis.torque.weigh import LARGEST, TOGETHER
-from jaxid.diagnosis.verdict import judge, level
+from jaxid.diagnosis.verdict import judge
 from jaxid.dynamics.effect import BodyEffect, JointEffect
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import Path
