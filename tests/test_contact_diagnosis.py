@@ -157,6 +157,18 @@ def test_nothing_is_missing_where_the_file_hops_as_the_machine():
 
 
 @pytest.mark.slow
+def test_slippery_ground_is_a_number_of_the_file():
+    # MuJoCo takes the larger friction of two shapes.
+    slippery = TEXT.replace('friction="1.2 ', 'friction="0.5 ')
+    slippery = slippery.replace('type="plane"', 'type="plane" friction="0.5"')
+    found = jaxid.diagnose(robot(), recorded(slippery, 2.0))
+    assert found.which.verdict == "none"
+    value = found.nominal.parameters["sliding_friction@sole"].value
+    assert value == pytest.approx(0.5, abs=0.02)
+    assert not found.which.effects
+
+
+@pytest.mark.slow
 def test_late_commands_of_a_leg_that_hops_are_named():
     found = jaxid.diagnose(robot(), recorded(TEXT, 2.0, late=4))
     assert found.which.verdict == "named"

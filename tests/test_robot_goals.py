@@ -23,7 +23,7 @@ from jaxid.diagnosis.goals.as_stated import Alone
 from jaxid.diagnosis.goals.law_told import law_told
 from jaxid.diagnosis.goals.limits import limits_shown
 from jaxid.diagnosis.goals.plant import LedPlant
-from jaxid.diagnosis.goals.propose import proposals
+from jaxid.diagnosis.goals.propose import LinearisedSearch, Proposal, proposals
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy
 from jaxid.diagnosis.goals.touching import effects_by_runs
@@ -39,7 +39,13 @@ from jaxid.fitting.result import Estimate
 from jaxid.fitting.secant import descend_on_secants, Slopes
 from jaxid.force import drive
 from jaxid.models import Robot
-from jaxid.models.effects import ConstantTorque, LuGreFriction, Saturation, StribeckFriction
+from jaxid.models.effects import (
+    ConstantTorque,
+    InputDelay,
+    LuGreFriction,
+    Saturation,
+    StribeckFriction,
+)
 from jaxid.numerics import kept
 from jaxid.problem import typical
 from jaxid.problem.binding import bind, Binding
@@ -238,6 +244,43 @@ def test_simulations_show_a_law_at_speeds_at_which_friction_turns_about():
     (unit,), (numbers,) = first.units, first.numbers
     assert unit.place == ("stribeck_friction", "lift")
     assert 0.1 < dict(zip(unit.fields, numbers, strict=True))["extra"] < 0.8
+
+
+@pytest.mark.slow
+def test_a_second_place_of_one_effect_is_asked_beside_the_first():
+    """Goals of two joints come late, each by its own time: the smaller delay is what is left."""
+    model = robot(limb("left", 0.1), limb("right", 0.1, x=0.3))
+    late = {"left_cmd": 0.04, "right_cmd": 0.015}
+    there = [
+        {"effect": "input_delay", "location": place, "parameters": {"delay": delay}}
+        for place, delay in late.items()
+    ]
+    goal = np.hstack([swinging(), np.roll(swinging(), 150, 0)])
+    recorded, kinds = moving(model, goal, effects=there), [InputDelay, StribeckFriction]
+    plain = bind(model, recorded, candidates=[InputDelay])
+    (stands,) = plain.layout.of_effect("input_delay", "left_cmd")
+    theta = plain.theta.copy()
+    theta[stands] = late["left_cmd"]
+    base = dataclasses.replace(plain, theta=theta, free=sorted({*plain.free, stands}))
+    standing = {("input_delay", "left_cmd")}
+
+    study = LedStudy(base, kinds, begin=theta, standing=standing)
+    rows, _ = study.rows_with_effects(theta)
+    assert {u.owner for u in rows.units if u.effect == "input_delay"} == {
+        ("input_delay", "right_cmd")
+    }
+    claims = LinearisedSearch(study, theta, 2).searched(Proposal((), (), theta)).sets
+    assert [u.place for u in claims[0].units] == [("input_delay", "right_cmd")]
+
+    bench = ProblemBuilder(bind(model, recorded, candidates=kinds), differences=1)
+    layout, wide = bench.binding.layout, bench.binding.theta.copy()
+    wide[[layout.index(name) for name in base.layout.names]] = theta
+    starts = estimate_starts(bench, "fit", [wide])[0]
+    free = [layout.index(base.layout.names[i]) for i in base.free]
+    sets = effects_by_runs(bench, base, kinds, wide, free, starts, standing)
+    places = [tuple(u.place for u in s.units) for s in sets]
+    assert places[0] == (("input_delay", "right_cmd"),)
+    assert not any(standing & set(own) for own in places)
 
 
 def test_bristles_that_give_over_no_distance_are_another_law():

@@ -8,6 +8,7 @@ import pytest
 
 from jaxid.diagnosis.belief import Belief, FreeLaw, joined_beliefs
 from jaxid.diagnosis.goals.search import Decider
+from jaxid.diagnosis.goals.single_changes import belief_of
 from jaxid.diagnosis.hypothesis import Candidate
 from jaxid.diagnosis.result import Which
 from jaxid.diagnosis.selection import most_probable, step_from
@@ -172,6 +173,52 @@ def test_at_the_noise_only_what_acts_in_the_place_of_what_is_named_is_left():
     assert found.free_law is None and found.none == 0.0
     nothing = Belief({load: 0.999}, none=0.001).at_the_noise({})
     assert nothing.places == {} and nothing.none == 1.0
+
+
+def test_what_was_asked_again_beside_more_is_told_anew():
+    """Columns of a loose arm made a law possible; beside what stands a simulation gives it less."""
+    bias, tilt, law = ("sensor_bias", "j1"), ("gravity_offset", "j1"), ("lugre_friction", "j3")
+    before = Belief({bias: 0.501, tilt: 0.499, law: 0.81}, none=0.0, rivals={tilt: 0.498})
+    ripple = ("torque_ripple", "j1")
+    found = before.asked_again(Belief({law: 0.03, ripple: 0.01}), {bias})
+    assert found.places == {bias: 0.501, tilt: 0.498, law: 0.03, ripple: 0.01}
+    assert before.asked_again(Belief({}), {bias}).places == {bias: 0.501, tilt: 0.498}
+
+
+def test_two_that_simulations_do_not_tell_apart_are_one_answer_with_one_probability(monkeypatch):
+    def gained(_: Decider, before: Any, after: Any) -> float:
+        return after.worth - before.worth
+
+    monkeypatch.setattr(Decider, "gained", gained)
+    tilt, bias = Candidate("gravity_offset", "j1", (0,)), Candidate("sensor_bias", "j1", (1,))
+    nominal, chosen, other = (
+        cast(Any, SimpleNamespace(effects=effects, worth=worth))
+        for effects, worth in (((), 0.0), ((tilt,), 40.0), ((bias,), 40.0))
+    )
+    decider = Decider(cast(Any, None), ())
+    decider.compared(chosen, [nominal, other])
+    rivals = decider.rivals(chosen, [other])
+    belief = Belief(decider.certain([tilt]), probability=0.5)
+    told = decider.with_families(belief, [tilt], rivals)
+    (family,) = told.to_dict()["families"]
+    assert tuple(family["effects"]) == ("gravity_offset", "sensor_bias")
+    assert tuple(family["locations"]) == ("j1", "j1")
+    assert family["probability"] == told.probability == pytest.approx(1.0)
+
+
+def test_single_changes_that_leave_as_much_are_one_answer():
+    """A delay of a goal and a lag of its drive, each alone beside the file."""
+    left = {(): 900.0, (DELAY,): 1.0, (LAG,): 1.5, (DRAG,): 400.0}
+    asked = [cast(Any, SimpleNamespace(effects=effects)) for effects in left]
+    alone = cast(
+        Any,
+        SimpleNamespace(of_numbers=lambda h: not h.effects, evidence=lambda h: left[h.effects]),
+    )
+    belief = belief_of(alone, [asked[0], *asked[2:]], [asked[1], asked[0]])
+    (family,) = belief.families
+    assert family.places == (("input_delay", "tau"), ("actuator_lag", "tau"))
+    assert belief.probability == family.probability == pytest.approx(1.0)
+    assert belief.places["input_delay", "tau"] == pytest.approx(1 / (1 + np.exp(-0.25)))
 
 
 def test_effects_of_sets_that_were_simulated_share_their_probability(monkeypatch):

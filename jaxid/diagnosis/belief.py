@@ -35,14 +35,24 @@ class Worth:
 
 @dataclass(frozen=True)
 class EffectFamily:
-    """Effects at one place of which at least one is missing, with that probability."""
+    """Effects of which at least one is missing, with that probability: at one `location`, or each
+    at its own of `locations`.
+    """
 
     effects: tuple[str, ...]
     location: str
     probability: float
+    locations: tuple[str, ...] = ()
+
+    @property
+    def places(self) -> tuple[tuple[str, str], ...]:
+        """Each effect with where it acts."""
+        at = self.locations or (self.location,) * len(self.effects)
+        return tuple(zip(self.effects, at, strict=True))
 
     def to_dict(self) -> dict[str, Any]:
-        return asdict(self)
+        at = tuple(location for _, location in self.places)
+        return {**asdict(self), "locations": at}
 
 
 @dataclass(frozen=True)
@@ -85,6 +95,32 @@ class Belief:
             "missed_without": None if worth is None else worth.missed_without,
             "missed_interval_95": None if worth is None else worth.missed_interval_95,
         }
+
+    def standing_for(self, place: tuple[str, str]) -> float:
+        """How probable it is that an effect is at a place, or one of the family that it stands
+        for.
+        """
+        own = [family.probability for family in self.families if place in family.places]
+        return max(own, default=self.places.get(place, 1.0))
+
+    def with_families(
+        self, more: Sequence[EffectFamily], named: Sequence[tuple[str, str]]
+    ) -> Belief:
+        """With families that the named effects stand for as well."""
+        found = replace(self, families=(*self.families, *more))
+        each = [found.standing_for(place) for place in named]
+        return replace(found, probability=product(each) if named else self.probability)
+
+    def asked_again(self, more: Belief, standing: Container[tuple[str, str]]) -> Belief:
+        """Where all effects were asked once more beside those that stand: what was told of others
+        when less stood is no longer so. What may act in the place of those that stand still may.
+        """
+        kept = {place: p for place, p in self.places.items() if place in standing}
+        for place, p in self.rivals.items():
+            kept.setdefault(place, min(p, self.places.get(place, p)))
+        for place, p in more.places.items():
+            kept[place] = p if place in standing else max(p, kept.get(place, 0.0))
+        return replace(self, places=kept, free_law=more.free_law)
 
     def beside(self, more: dict[tuple[str, str], float]) -> Belief:
         """With further effects at places, of which each is there with such a probability."""

@@ -9,8 +9,8 @@ is asked by simulating every effect.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,11 +28,22 @@ from jaxid.diagnosis.goals.propose import (
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy
 from jaxid.diagnosis.goals.touching import effects_by_runs
-from jaxid.diagnosis.hypothesis import Candidate, SearchResult
+from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
 from jaxid.dynamics.catalogue import effect_class
-from jaxid.dynamics.effect import Effect, OutputEffect
+from jaxid.dynamics.effect import OutputEffect
 from jaxid.dynamics.parameter_vector import ParameterVector
 from jaxid.problem.binding import Binding
+
+
+@dataclass(frozen=True)
+class _Further:
+    """What asking beside what stands told: a search, and the decider whose simulations it is of;
+    whether more was borne out.
+    """
+
+    decider: Decider
+    search: SearchResult
+    found: bool = False
 
 
 def with_what_is_still_missing(
@@ -43,74 +54,75 @@ def with_what_is_still_missing(
     columns laws of no name compete, among simulations none: what the latter alone have proposed
     stands where it leads to the noise.
     """
-    by_columns, stands = True, (decider, search)
-    while _leaves_more(ask, decider, search):
-        base = _with_chosen(ask, decider, search)
-        wider = _more_by_columns(ask, decider, search, base)
-        if wider is None:
-            by_columns = False
-            wider = _more_by_runs(ask, decider, search, base)
-        if wider is None:
-            break
-        decider, search = wider
+    last = surely = _Further(decider, search)
+    by_columns = True
+    while _leaves_more(ask, last):
+        asked = _more_by_columns(ask, last)
+        if not asked.found and _leaves_more(ask, asked):
+            asked = _more_by_runs(ask, asked)
+            by_columns = by_columns and not asked.found
+        last = asked
         if by_columns:
-            stands = wider
-    return (decider, search) if decider.at_noise(search.chosen) else stands
+            surely = last
+        if not last.found:
+            break
+    end = last if last.decider.at_noise(last.search.chosen) else surely
+    return end.decider, end.search
 
 
-def _leaves_more(ask: GoalsQuestion, decider: Decider, search: SearchResult) -> bool:
-    if decider.at_noise(search.chosen):
+def _leaves_more(ask: GoalsQuestion, so_far: _Further) -> bool:
+    if so_far.decider.at_noise(so_far.search.chosen):
         return False
-    return len(_kinds(search.chosen.effects)) < ask.max_effects
+    return len(_kinds(so_far.search.chosen.effects)) < ask.max_effects
 
 
 def _kinds(effects: Sequence[Candidate]) -> list[str]:
     return list(dict.fromkeys(c.effect for c in effects))
 
 
-def _others(ask: GoalsQuestion, search: SearchResult) -> list[type[Effect]]:
-    """Effects that were not chosen."""
-    kept = _kinds(search.chosen.effects)
-    return [kind for kind in ask.kinds if kind.name not in kept]
-
-
-def _more_by_columns(
-    ask: GoalsQuestion, decider: Decider, search: SearchResult, base: Binding
-) -> tuple[Decider, SearchResult] | None:
-    """The search with what columns propose beside what it chose and simulations bear out; None
-    where that is nothing. Beside nothing columns were asked before.
+def _more_by_columns(ask: GoalsQuestion, so_far: _Further) -> _Further:
+    """What columns propose beside what was chosen and simulations bear out. Beside nothing columns
+    were asked before.
     """
+    decider, search = so_far.decider, so_far.search
     kept = _kinds(search.chosen.effects)
     if not kept:
-        return None
+        return replace(so_far, found=False)
+    base = _with_chosen(ask, decider, search)
     theta = _carried(search.chosen.theta, decider.bench.binding.layout, base)
-    study = LedStudy(without_steps(base), _others(ask, search), begin=theta)
+    standing = _places(search.chosen.effects)
+    study = LedStudy(without_steps(base), ask.kinds, begin=theta, standing=standing)
     linearised = LinearisedSearch(study, theta, ask.max_effects - len(kept))
     proposed = linearised.searched(Proposal((), (), theta))
-    return _borne_out(ask, decider, search, base, proposed)
+    return _borne_out(ask, so_far, base, proposed)
 
 
-def _more_by_runs(
-    ask: GoalsQuestion, decider: Decider, search: SearchResult, base: Binding
-) -> tuple[Decider, SearchResult] | None:
+def _more_by_runs(ask: GoalsQuestion, so_far: _Further) -> _Further:
     """The same of the effects that leave least beside what stands, by simulation."""
+    decider, search = so_far.decider, so_far.search
     if ask.progress:
         ask.progress("simulated", decider.done, decider.total, "every effect at one size")
-    chosen, before, kinds = search.chosen, decider.bench.binding, _others(ask, search)
-    every = [*_kinds(chosen.effects), *(kind.name for kind in kinds)]
+    base = _with_chosen(ask, decider, search)
+    chosen, before = search.chosen, decider.bench.binding
+    every = [*_kinds(chosen.effects), *(kind.name for kind in ask.kinds)]
     bench = ask.made(ask.known(every, before.inflation))
     problem, layout = chosen.path.problem, bench.binding.layout
     sets = effects_by_runs(
         bench=bench,
         plain=base,
-        kinds=kinds,
+        kinds=ask.kinds,
         theta=_carried(chosen.theta, before.layout, bench.binding),
         free=[layout.index(before.layout.names[i]) for i in problem.free],
         starts=problem.starts(chosen.path.z),
+        standing=_places(chosen.effects),
     )
     bare = Proposal((), (), base.theta)
     proposed = ProposedSets(bare, tuple(sets), inflation=before.inflation)
-    return _borne_out(ask, decider, search, base, proposed)
+    return _borne_out(ask, so_far, base, proposed)
+
+
+def _places(effects: Sequence[Candidate]) -> frozenset[tuple[str, str]]:
+    return frozenset((c.effect, c.location) for c in effects)
 
 
 def _with_chosen(ask: GoalsQuestion, decider: Decider, search: SearchResult) -> Binding:
@@ -127,18 +139,14 @@ def _with_chosen(ask: GoalsQuestion, decider: Decider, search: SearchResult) -> 
 
 
 def _borne_out(
-    ask: GoalsQuestion,
-    decider: Decider,
-    search: SearchResult,
-    base: Binding,
-    proposed: ProposedSets,
-) -> tuple[Decider, SearchResult] | None:
+    ask: GoalsQuestion, so_far: _Further, base: Binding, proposed: ProposedSets
+) -> _Further:
     """What simulations bear out of the sets that were proposed beside what stands."""
+    decider, search = so_far.decider, so_far.search
     if not proposed.sets:
-        return None
+        return _nothing(so_far, proposed, {})
     before = decider.bench.binding.layout
     kept = _kinds(search.chosen.effects)
-    places = [(c.effect, c.location) for c in search.chosen.effects]
     bench = ask.made(ask.known([*kept, *kinds_of(proposed.sets)], proposed.inflation))
     wide = bench.binding
     wider = replace(
@@ -159,19 +167,18 @@ def _borne_out(
     for s in proposed.sets:
         own = [*standing, *candidates_of(bench, s)]
         tried.append(wider.refit(own, as_vector(wide, base.layout.names, s), stands.path))
-    best = max(tried, key=lambda h: np.nan_to_num(wider.gained(stands, h), nan=-np.inf))
-    if not wider.gained(stands, best) > 0:
-        return None
-    wider.compared(best, tried)
+    best = max([stands, *tried], key=lambda h: np.nan_to_num(wider.gained(stands, h), nan=-np.inf))
+    wider.compared(best, [stands, *tried])
+    if best is stands:
+        return _as_it_stands(so_far, wider, nominal, stands, proposed)
     chosen = wider.thinned(nominal, wider.reweighed(best), tried)
     found = [c for c in chosen.effects if c not in standing]
     rivals = wider.rivals(chosen, tried)
     if not found or not all(wider.claimed(c, rivals) for c in found):
-        return None
+        return _nothing(so_far, proposed, wider.sure)
     more = wider.certain(found)
-    told = {place: p for place, p in wider.sure.items() if place not in places}
-    belief = proposed.belief(more)
-    belief = replace(belief, places=told | belief.places)
+    belief = wider.with_families(proposed.belief(more), found, rivals)
+    belief = replace(belief, places=_by_simulation(search, wider.sure) | belief.places)
     alike = [*search.confusable, *proposed.instead(more), *rivals]
     wider_search = SearchResult(
         nominal=nominal,
@@ -179,13 +186,58 @@ def _borne_out(
         tried=[*search.tried, stands, *tried],
         confusable=list(dict.fromkeys(alike)),
         several=len(_kinds(chosen.effects)) > 1,
-        belief=_believed(search.belief, belief).at_most(wider.sure),
+        belief=_believed(search, belief).at_most(wider.sure),
     )
-    return wider, wider_search
+    return _Further(wider, wider_search, found=True)
 
 
-def _believed(before: Belief | None, more: Belief) -> Belief:
-    return more if before is None else joined_beliefs([before, more]) or more
+def _as_it_stands(
+    so_far: _Further,
+    wider: Decider,
+    nominal: Hypothesis,
+    stands: Hypothesis,
+    proposed: ProposedSets,
+) -> _Further:
+    """Where nothing beside what stands is better than that: its descent went on, and may have come
+    to the noise.
+    """
+    asked = _nothing(so_far, proposed, wider.sure)
+    if not wider.at_noise(stands):
+        return asked
+    wider.sure |= so_far.decider.certain(stands.effects)
+    return replace(
+        asked, decider=wider, search=replace(asked.search, nominal=nominal, chosen=stands)
+    )
+
+
+def _nothing(
+    so_far: _Further, proposed: ProposedSets, sure: Mapping[tuple[str, str], float]
+) -> _Further:
+    """Where nothing more is borne out: `sure` is how probable simulations make what they asked."""
+    search = so_far.search
+    asked = proposed.weighed is not None or bool(proposed.sets)
+    if search.belief is None or not asked:
+        return replace(so_far, found=False)
+    told = proposed.belief({})
+    told = replace(told, places=_by_simulation(search, sure) | told.places).at_most(sure)
+    belief = search.belief.asked_again(told, _places(search.chosen.effects))
+    return _Further(so_far.decider, replace(search, belief=belief))
+
+
+def _by_simulation(
+    search: SearchResult, sure: Mapping[tuple[str, str], float]
+) -> dict[tuple[str, str], float]:
+    """How probable simulations make what does not stand."""
+    standing = _places(search.chosen.effects)
+    return {place: p for place, p in sure.items() if place not in standing}
+
+
+def _believed(search: SearchResult, more: Belief) -> Belief:
+    if search.belief is None:
+        return more
+    again = search.belief.asked_again(more, _places(search.chosen.effects))
+    joined = joined_beliefs([search.belief, more]) or more
+    return replace(joined, places=again.places, free_law=again.free_law)
 
 
 def _carried(theta: np.ndarray, layout: ParameterVector, into: Binding) -> np.ndarray:

@@ -178,8 +178,9 @@ class Drive:
     def __init__(self, plant: LedPlant, kinds: Sequence[Any]):
         chain = plant.binding.chain
         law = [e for e in chain.effects if isinstance(e, InputEffect)]
+        lacking = [neutral(k) for k in kinds if k.name not in chain.contents]
         self.plant, self.names = plant, plant.binding.layout.names
-        self.chain = chain._with([*law, *(neutral(k) for k in kinds)])
+        self.chain = chain._with([*law, *lacking])
         self.layout = ParameterVector(self.chain)
 
     def theta(self, theta: np.ndarray) -> np.ndarray:

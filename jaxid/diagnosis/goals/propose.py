@@ -214,7 +214,7 @@ def candidates_of(bench: ProblemBuilder, s: Proposal) -> list[Candidate]:
     pool = {(c.effect, c.location): c for c in candidates(bench, [u.effect for u in s.units])}
     out = []
     for u in s.units:
-        c = pool.get((u.effect, u.location.partition(" and ")[0]))
+        c = pool.get(u.owner)
         if c is not None:
             hidden = [
                 f for f in getattr(kinds[u.effect], "moments", ()) if f"{MOMENT}{f}" not in u.fields
@@ -236,14 +236,13 @@ def as_vector(binding: Binding, nominal: Sequence[str], s: Proposal) -> np.ndarr
     for name, value in zip(nominal, s.theta, strict=True):
         theta[layout.index(name)] = value
     for u, numbers in zip(s.units, s.numbers, strict=True):
-        place = u.location.partition(" and ")[0]
         own = dict(u.shape) | dict(zip(u.fields, map(float, numbers), strict=True))
         own |= {
             f.removeprefix(MOMENT): v / own["mass"]
             for f, v in own.items()
             if f.startswith(MOMENT) and own["mass"]
         }
-        for i in layout.of_effect(u.effect, place):
+        for i in layout.of_effect(*u.owner):
             if (field := layout.entries[i].field) in own:
                 theta[i] = np.clip(own[field], binding.lower[i], binding.upper[i])
     return theta

@@ -226,6 +226,8 @@ def _touching(ask: GoalsQuestion, binding: Binding, seed: int, began: float) -> 
         other_way=False,
     )
     stated.ask(lambda: begun_as(alone), ask.progress)
+    if stated.begin is not None:
+        road.like = stated.enough[0].path
     if stated.explains:
         found, notes = _as_stated(ask, road, stated, alone, only=stated.moved)
     else:
@@ -330,6 +332,7 @@ class _Road:
     began: float
     progress: Progress | None
     other_way: bool | None  # whether goals go the other way than stated; None: not asked yet
+    like: Path | None = None  # what the re-tuned model begins as, where that is known
 
     def __call__(
         self,
@@ -339,7 +342,7 @@ class _Road:
     ) -> SearchOutcome:
         first = Decider(bench, self.names, self.progress)
         theta = as_vector(bench.binding, self.names, self.bare)
-        nominal = first.refit((), theta)
+        nominal = first.refit((), theta, self.like)
         offer(lambda: self._fitted(first, nominal.path), SearchResult(nominal, nominal))
         decider, search = decide(first, nominal)
         plain = decider.settled(search.nominal)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import numpy as np
 
+from jaxid.diagnosis.belief import Belief, EffectFamily
 from jaxid.diagnosis.evidence import held_out, knowledge, level
 from jaxid.diagnosis.goals.left_open import left_open
 from jaxid.diagnosis.goals.propose import as_vector, candidates_of, ProposedSets
@@ -24,7 +26,7 @@ from jaxid.fitting.problem_builder import (
     ProblemBuilder,
     touches,
 )
-from jaxid.fitting.secant import descend_on_secants, Slopes
+from jaxid.fitting.secant import descend_on_secants, residuals, Slopes
 from jaxid.fitting.wide_slopes import descend_widely, WIDTHS
 from jaxid.problem.binding import Binding
 from jaxid.problem.problem import FitProblem
@@ -73,7 +75,7 @@ class Decider:
         ]
         p = self.bench.problem(OutputError(), "fit", free, theta)
         if touches(self.bench.binding):
-            path, spent = self._touching(p)
+            path, spent = self._touching(p, like)
         elif like is None:
             path, self.slopes, spent = descend_on_secants(p, [p.z(theta)], None, *NEAR)
         else:  # its own numbers, or those of the model that it is like
@@ -87,13 +89,20 @@ class Decider:
         self.done, self.evaluations = self.done + 1, self.evaluations + spent
         return self._judged(effects, path)
 
-    def _touching(self, p: FitProblem) -> tuple[Path, int]:
-        """A descent on the fit runs that touch, and how often these were simulated."""
-        if p.free.size:
-            every = range(len(p.records))
-            return descend_over_stretches(self.bench, "fit", p.free, p.base, every)
-        starts = estimate_starts(self.bench, "fit", [p.base])[0]
-        return descend_widely(p, p.z(p.base, starts), len(WIDTHS))
+    def _touching(self, p: FitProblem, like: Path | None) -> tuple[Path, int]:
+        """A descent on the fit runs that touch, and how often these were simulated. Where those of
+        `like` are at the noise with these numbers, it goes on from there.
+        """
+        if not p.free.size:
+            starts = estimate_starts(self.bench, "fit", [p.base])[0]
+            return descend_widely(p, p.z(p.base, starts), len(WIDTHS))
+        if like is not None:
+            z = p.z(p.base, like.problem.starts(like.z))
+            (left,) = residuals(p, [z])
+            if np.mean(left**2) <= level(left.size):
+                return descend_widely(p, z, TOUCHING)
+        every = range(len(p.records))
+        return descend_over_stretches(self.bench, "fit", p.free, p.base, every)
 
     def polished(self, h: Hypothesis) -> Hypothesis:
         """The same from where its descent ended, with slopes of its own: those of another model
@@ -171,18 +180,21 @@ class Decider:
                 tried.append(self.refit(own, theta, nominal.path))
         good = [h for h in tried if np.isfinite(joint_loss(h)) and self.gained(nominal, h) > 0]
         chosen = max(good, key=lambda h: self.gained(nominal, h), default=nominal)
-        self.compared(chosen, tried)
+        self.compared(chosen, [nominal, *tried])
         if chosen.effects:
             chosen = self.reweighed(chosen)
         chosen = self.thinned(nominal, chosen, tried)
         named = self.certain(chosen.effects)
+        rivals = self.rivals(chosen, tried)
+        belief = proposed.belief(named).at_most(self.sure)
+        belief = self.with_families(belief, chosen.effects, rivals)
         return SearchResult(
             nominal=nominal,
             chosen=chosen,
             tried=tried,
-            confusable=proposed.instead(named),
+            confusable=list(dict.fromkeys([*proposed.instead(named), *rivals])),
             several=len({c.effect for c in chosen.effects}) > 1,
-            belief=proposed.belief(named).at_most(self.sure),
+            belief=belief,
         )
 
     def gained(
@@ -255,7 +267,7 @@ class Decider:
         belief = search.belief.at_the_noise(self.sure)
         possible = {place[:2] for place in belief.possible(RULE.possible)}
         for family in belief.families:
-            possible |= {(effect, family.location) for effect in family.effects}
+            possible |= set(family.places)
         alike = [c for c in search.confusable if (c.effect, c.location) in possible]
         return replace(search, belief=belief, confusable=alike)
 
@@ -296,13 +308,31 @@ class Decider:
         others = [c for c in every if c not in chosen.effects]
         return [c for c in others if self.sure.get((c.effect, c.location), 0.0) >= RULE.possible]
 
+    def family(self, c: Candidate, rivals: Sequence[Candidate]) -> EffectFamily:
+        """An effect and its rivals at its place, by simulations: that one of them is there."""
+        own = [c, *(e for e in rivals if e.location == c.location)]
+        together = sum(self.sure[e.effect, e.location] for e in own)
+        names = tuple(dict.fromkeys(e.effect for e in own))
+        return EffectFamily(names, c.location, min(together, 1.0))
+
     def claimed(self, c: Candidate, rivals: Sequence[Candidate]) -> bool:
         """Whether an effect or one of its rivals at its place is as probable as a claim has to
         be.
         """
-        own = {(e.effect, e.location) for e in rivals if e.location == c.location}
-        together = sum(self.sure[place] for place in own | {(c.effect, c.location)})
-        return together >= RULE.sure
+        return self.family(c, rivals).probability >= RULE.sure
+
+    def with_families(
+        self, belief: Belief, effects: Sequence[Candidate], rivals: Sequence[Candidate]
+    ) -> Belief:
+        """What some effects stand for that are not sure by themselves, where columns did not tell
+        it.
+        """
+        told = set(chain.from_iterable(family.places for family in belief.families))
+        unsure = [c for c in effects if (c.effect, c.location) not in told]
+        unsure = [c for c in unsure if belief.places.get((c.effect, c.location), 1.0) < RULE.sure]
+        families = [self.family(c, rivals) for c in unsure]
+        found = [family for family in families if len(family.effects) > 1]
+        return belief.with_families(found, [(c.effect, c.location) for c in effects])
 
     def thinned(
         self, nominal: Hypothesis, chosen: Hypothesis, tried: list[Hypothesis]
@@ -331,11 +361,11 @@ class Decider:
 
     def _joints(self, c: Candidate) -> Sequence[int]:
         """The joints at which an effect is judged: its own, or all of them."""
-        chain = self.bench.binding.chain
-        kind = next(e for e in chain.effects if e.name == c.effect)
+        model = self.bench.binding.chain
+        kind = next(e for e in model.effects if e.name == c.effect)
         if isinstance(kind, BodyEffect) or " and " in c.location:
-            return range(chain.nq)
-        return [chain.places(kind).index(c.location) % chain.nq]
+            return range(model.nq)
+        return [model.places(kind).index(c.location) % model.nq]
 
     def _foreseen(self, h: Hypothesis, c: Candidate) -> float:
         """By how much the fit runs alone would miss an effect, log evidence, to second order about

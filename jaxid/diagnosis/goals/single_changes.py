@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
 
-from jaxid.diagnosis.belief import Belief
+from jaxid.diagnosis.belief import Belief, EffectFamily
 from jaxid.diagnosis.hypothesis import Hypothesis
 from jaxid.diagnosis.probability import normalised, RULE
+from jaxid.diagnosis.simulated import FAMILY
 
 
 class SingleChanges(Protocol):
@@ -39,7 +40,31 @@ def belief_of(
             known[place] = known.get(place, 0.0) + weight
     chosen = _places(alone, more[0])
     none = weights.get(frozenset(), 0.0)
-    return Belief(known, weights[chosen] if chosen else None, none=none)
+    if not chosen:
+        return Belief(known, none=none)
+    found = Belief(known, weights[chosen], none=none)
+    family = _family(weights, chosen)
+    return found if family is None else found.with_families([family], list(chosen))
+
+
+def _family(
+    weights: Mapping[frozenset[tuple[str, str]], float], chosen: frozenset[tuple[str, str]]
+) -> EffectFamily | None:
+    """A single effect with others that may act alone in its place, until one of all is there with
+    what a claim needs; None where it is sure by itself, or they are not even together.
+    """
+    if len(chosen) != 1 or weights[chosen] >= RULE.sure:
+        return None
+    others = [places for places in weights if len(places) == 1 and places != chosen]
+    others.sort(key=lambda places: weights[places], reverse=True)
+    own, together = list(chosen), weights[chosen]
+    for places in others[: FAMILY - 1]:
+        own += places
+        together += weights[places]
+        if together >= RULE.sure:
+            effects, locations = zip(*own, strict=True)
+            return EffectFamily(effects, locations[0], min(together, 1.0), locations)
+    return None
 
 
 def _places(alone: SingleChanges, h: Hypothesis) -> frozenset[tuple[str, str]]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import fields, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -48,8 +49,12 @@ class LedStudy(TorqueStudy):
         kinds: Iterable[type[Effect]],
         cutoff_hz: float | None = None,
         begin: np.ndarray | None = None,
+        standing: Container[tuple[str, str]] = (),
     ):
-        """`begin`: numbers that the re-tuning begins with, those of the binding by default."""
+        """`begin`: numbers that the re-tuning begins with, those of the binding by default.
+        `standing`: effects at places that the model has; at other places they are asked.
+        """
+        self.standing = standing
         self.begin = binding.theta if begin is None else begin
         #: By run, what was worked out of it last and at which numbers: its free run to first order,
         #: and its rows.
@@ -289,13 +294,15 @@ class LedStudy(TorqueStudy):
     def asked(self, kinds: Sequence[type[Effect]], theta: np.ndarray) -> list[Unit]:
         """The units of these effects; programs of several are compiled side by side."""
         raw = [RawRun(**{f.name: getattr(r, f.name) for f in fields(TorqueRun)}) for r in self.free]
-        return [
-            unit
-            for found in _EFFECTS.map(
-                lambda kind: self._as_rows(self._of_kind(kind, raw, theta)), kinds
-            )
-            for unit in found
-        ]
+        found = _EFFECTS.map(lambda kind: self._as_rows(self._lacking(kind, raw, theta)), kinds)
+        return list(chain.from_iterable(found))
+
+    def _lacking(
+        self, kind: type[Effect], raw: Sequence[TorqueRun], theta: np.ndarray
+    ) -> list[Unit]:
+        """The units of an effect where the model does not have it."""
+        every = self._of_kind(kind, raw, theta)
+        return [u for u in every if u.owner not in self.standing]
 
     def _of_kind(
         self, kind: type[Effect], raw: Sequence[TorqueRun], theta: np.ndarray

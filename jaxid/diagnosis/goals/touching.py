@@ -8,7 +8,7 @@ starts of the runs have moved, to first order, to where they leave least.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -121,13 +121,16 @@ def effects_by_runs(
     theta: np.ndarray,
     free: Sequence[int],
     starts: np.ndarray,
+    standing: Container[tuple[str, str]] = (),
 ) -> list[Proposal]:
     """The same of runs that do not touch, beside a model that stands: its numbers `theta` and those
-    that are `free` in the bench, and how its fit runs begin. Each effect is simulated at one size,
-    and goes on in that which leaves least to first order. None where that takes too long.
+    that are `free` in the bench, how its fit runs begin, and which effects are `standing` at places
+    in it. Each other one is simulated at one size, and goes on in that which leaves least to first
+    order. None where that takes too long.
     """
     wide = bench.binding
-    trials = list(_of_effects(wide, kinds, theta, (1.0,)))
+    every = _of_effects(wide, kinds, theta, (1.0,))
+    trials = [trial for trial in every if not any(u[:2] in standing for u in trial.units)]
     steps = sum(step_count(e, bench.step) for e in wide.experiments("fit"))
     if steps * len(trials) > LONG:
         return []

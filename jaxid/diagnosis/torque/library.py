@@ -66,6 +66,13 @@ class Unit:
     def place(self) -> tuple[str, str]:
         return self.effect, self.location
 
+    @property
+    def owner(self) -> tuple[str, str]:
+        """The effect and the place that its numbers are called by: of two joints that share a gear
+        the first.
+        """
+        return self.effect, self.location.partition(" and ")[0]
+
     def __str__(self) -> str:
         return f"{self.effect} at {self.location}"
 
