@@ -17,7 +17,8 @@ from jaxid.fitting.least_squares import levenberg_marquardt, Path
 from jaxid.problem.problem import FitProblem
 
 
-#: This many numbers are put back at most, those that are further away than this many typical changes.
+#: This many numbers are put back at most, of those that are further away than this (in typical
+#: changes).
 TRIED, SHORT = 3, 0.1
 
 

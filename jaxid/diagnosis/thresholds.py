@@ -22,8 +22,8 @@ class Thresholds:
     two_sigma: float = _of(
         2.0,
         "standard deviations",
-        "What differs by more is no chance of a single question: a channel that moves, a number that"
-        " an effect moves, a correlation that is not that of white noise.",
+        "What differs by more is no chance of a single question: a channel that moves, a number"
+        " that an effect moves, a correlation that is not that of white noise.",
         "convention: 95 %",
     )
     three_sigma: float = _of(
@@ -79,7 +79,8 @@ class Thresholds:
         1.5,
         "times the noise",
         "What is `named` closes most of the gap on fit and report data too, or leaves no more than"
-        " this there; with `none` no run and no direction of motion of the report data leaves more.",
+        " this there; with `none` no run and no direction of motion of the report data leaves"
+        " more.",
         "flexible link with an effect of no library that got a name; a tracker of paper_gaps.py",
     )
     far: float = _of(
@@ -93,26 +94,26 @@ class Thresholds:
     half: float = _of(
         0.5,
         "share",
-        "Most of something: of the gap that is closed, of what another model leaves, of a force that"
-        " was missing, of what is known of a number.",
-        "convention: more than half; two controls of the servo, seeds 28 and 29, that were named out"
-        " of a local minimum",
+        "Most of something: of the gap that is closed, of what another model leaves, of a force"
+        " that was missing, of what is known of a number.",
+        "convention: more than half; two controls of the servo, seeds 28 and 29, that were named"
+        " out of a local minimum",
     )
     named: float = _of(
         0.97,
         "share",
         "All but a rest: of the gap that what is `named` closes away from the noise, of what an"
         " effect supplies within a regime.",
-        "blind.jsonl, away from the noise: 41 of 43 effects found where one of no library is missing"
-        " close less than 95 %, 42 of 54 right ones more than 97 %",
+        "blind.jsonl, away from the noise: 41 of 43 effects found where one of no library is"
+        " missing close less than 95 %, 42 of 54 right ones more than 97 %",
     )
     equivalent: float = _of(
         0.02,
         "share",
-        "What is the same but for this share is alike: a number, an effect of which re-tuning leaves"
-        " less, two of which each leaves less of the other, and candidates on a screen.",
-        "classes of the joint and the pendulum are those of 0.04; at 0.01 a pendulum's two delays, which no"
-        " recording tells apart, are not alike",
+        "What is the same but for this share is alike: a number, an effect of which re-tuning"
+        " leaves less, two of which each leaves less of the other, and candidates on a screen.",
+        "classes of the joint and the pendulum are those of 0.04; at 0.01 a pendulum's two delays,"
+        " which no recording tells apart, are not alike",
     )
     # single questions
     switched_off: float = _of(
