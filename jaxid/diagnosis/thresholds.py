@@ -22,7 +22,7 @@ class Thresholds:
     two_sigma: float = _of(
         2.0,
         "standard deviations",
-        "What differs by more is no chance of a single question: a channel that moves, a number"
+        "What differs by more is not chance, asked once: a channel that moves, a number"
         " that an effect moves, a correlation that is not that of white noise.",
         "convention: 95 %",
     )
