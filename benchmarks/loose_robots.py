@@ -202,21 +202,31 @@ def reliability(judged: Sequence[Judged]) -> tuple[float, list[str]]:
     return float(error), told
 
 
-def squared(judged: Sequence[Judged]) -> float:
-    """Mean square of what answers are off."""
-    return float(np.mean([(p - y) ** 2 for p, y in judged]))
+def all_answers(rows: Sequence[dict[str, Any]]) -> list[Judged]:
+    return list(chain.from_iterable(row["answers"] for row in rows))
 
 
-def interval(rows: Sequence[dict[str, Any]], figure: Callable[[list[Judged]], float]) -> str:
-    """A figure of all answers with its interval of 95 %, by cases drawn anew."""
-    rng, drawn = np.random.default_rng(0), []
-    for _ in range(DRAWS):
-        some = [rows[k]["answers"] for k in rng.integers(len(rows), size=len(rows))]
-        judged = list(chain.from_iterable(some))
-        drawn.append(figure(judged) if judged else 0.0)
+def error_of(rows: Sequence[dict[str, Any]]) -> float:
+    """Expected calibration error of all answers; 0 of none."""
+    judged = all_answers(rows)
+    return reliability(judged)[0] if judged else 0.0
+
+
+def brier_of(rows: Sequence[dict[str, Any]]) -> float:
+    """Brier score of a case: the sum of squares by which its answers are off."""
+    return sum((p - y) ** 2 for p, y in all_answers(rows)) / len(rows)
+
+
+def interval(
+    rows: Sequence[dict[str, Any]], figure: Callable[[Sequence[dict[str, Any]]], float]
+) -> str:
+    """A figure of all cases with its interval of 95 %, by cases drawn anew."""
+    rng = np.random.default_rng(0)
+    drawn = [
+        figure([rows[k] for k in rng.integers(len(rows), size=len(rows))]) for _ in range(DRAWS)
+    ]
     low, high = np.quantile(drawn, [0.025, 0.975])
-    every = figure(list(chain.from_iterable(row["answers"] for row in rows)))
-    return f"{every:.3f} ({low:.3f} to {high:.3f})"
+    return f"{figure(rows):.3f} ({low:.3f} to {high:.3f})"
 
 
 def rows_of(rows: list[dict[str, Any]]) -> list[dict[str, str]]:
@@ -224,20 +234,17 @@ def rows_of(rows: list[dict[str, Any]]) -> list[dict[str, str]]:
         return sum(r[name] for r in rows)
 
     there, claims = sum(len(r["truth"]) for r in rows), sum(len(r["claims"]) for r in rows)
-    judged: list[Judged] = list(chain.from_iterable(r["answers"] for r in rows))
+    judged = all_answers(rows)
     sure = [right for p, right in judged if p >= EDGES[-2]]
     _, bins = reliability(judged)
-    per_case = len(judged) / len(rows)
-    error = interval(rows, lambda some: reliability(some)[0])
-    brier = interval(rows, lambda some: per_case * squared(some))
     return [
         {"what": "cases", "result": str(len(rows))},
         {"what": "effects that are named", "result": share(total("found"), there)},
         {"what": "effects named, or beside what is named", "result": share(total("in_set"), there)},
         {"what": "names, wrong", "result": share(total("wrong"), claims)},
         {"what": "answers with 0.95, wrong", "result": share(sure.count(False), len(sure))},
-        {"what": "expected calibration error", "result": error},
-        {"what": "Brier score of a case", "result": brier},
+        {"what": "expected calibration error", "result": interval(rows, error_of)},
+        {"what": "Brier score of a case", "result": interval(rows, brier_of)},
         {"what": "Brier score, nothing said", "result": f"{there / len(rows):.3f}"},
         {"what": "reliability (answers: said -> true)", "result": "; ".join(bins)},
         {

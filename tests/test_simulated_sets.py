@@ -206,6 +206,22 @@ def test_two_that_simulations_do_not_tell_apart_are_one_answer_with_one_probabil
     assert family["probability"] == told.probability == pytest.approx(1.0)
 
 
+def test_a_family_is_as_probable_as_that_one_of_it_is_there():
+    """A load at either of two links, alone or beside a lag: what is there twice counts once."""
+    load, other = Candidate("payload", "j2", (0,)), Candidate("payload", "j3", (1,))
+    decider = Decider(cast(Any, None), ())
+    at, elsewhere = ("payload", "j2"), ("payload", "j3")
+    decider.weights = {
+        frozenset({at}): 0.4,
+        frozenset({at, elsewhere}): 0.2,
+        frozenset({elsewhere}): 0.38,
+        frozenset(): 0.02,
+    }
+    (family,) = decider.with_families(Belief({at: 0.6}), [load], [other]).families
+    assert family.places == (at, elsewhere) and family.probability == pytest.approx(0.98)
+    assert not decider.claimed(load, [other])
+
+
 def test_single_changes_that_leave_as_much_are_one_answer():
     """A delay of a goal and a lag of its drive, each alone beside the file."""
     left = {(): 900.0, (DELAY,): 1.0, (LAG,): 1.5, (DRAG,): 400.0}

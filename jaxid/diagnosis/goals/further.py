@@ -156,6 +156,7 @@ def _borne_out(
         slopes=None,
         total=decider.done + 2 + len(proposed.sets),
         sure={},
+        weights={},
     )
     nominal = wider.refit((), _carried(search.nominal.theta, before, wide))
     standing = [_moved(c, before, wide.layout) for c in search.chosen.effects]

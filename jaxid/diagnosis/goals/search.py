@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, field, replace
 from itertools import chain
 
@@ -58,6 +58,8 @@ class Decider:
     )  # what explained most so far, for the line of progress
     #: (effect, place) -> probability by the last simulation that asked whether it is missed.
     sure: dict[tuple[str, str], float] = field(default_factory=dict)
+    #: Sets of effects at places that were compared last -> probability.
+    weights: dict[frozenset[tuple[str, str]], float] = field(default_factory=dict)
     asked: frozenset[int] = frozenset()  # numbers of the model that are asked for as effects
 
     def refit(
@@ -293,12 +295,17 @@ class Decider:
         every = [won, *(h for h in tried if h is not won)]
         gained = np.array([self.gained(won, h) for h in every])
         weights = normalised(np.nan_to_num(gained, nan=-LARGEST))
-        found: dict[tuple[str, str], float] = {}
+        self.weights = {}
         for h, weight in zip(every, weights.tolist(), strict=True):
-            for c in h.effects:
-                place = c.effect, c.location
-                found[place] = found.get(place, 0.0) + weight
-        self.sure |= {place: min(p, 1.0) for place, p in found.items()}
+            places = frozenset((c.effect, c.location) for c in h.effects)
+            self.weights[places] = self.weights.get(places, 0.0) + weight
+        for place in frozenset(chain.from_iterable(self.weights)):
+            self.sure[place] = self._any_of({place})
+
+    def _any_of(self, wanted: Set[tuple[str, str]]) -> float:
+        """How probable it is, of the sets that were compared last, that one of these is there."""
+        inside = [weight for places, weight in self.weights.items() if places & wanted]
+        return min(sum(inside), 1.0)
 
     def rivals(self, chosen: Hypothesis, tried: Sequence[Hypothesis]) -> list[Candidate]:
         """Effects of other sets that are possible in the place of those that are chosen."""
@@ -309,30 +316,46 @@ class Decider:
         return [c for c in others if self.sure.get((c.effect, c.location), 0.0) >= RULE.possible]
 
     def family(self, c: Candidate, rivals: Sequence[Candidate]) -> EffectFamily:
-        """An effect and its rivals at its place, by simulations: that one of them is there."""
-        own = [c, *(e for e in rivals if e.location == c.location)]
-        together = sum(self.sure[e.effect, e.location] for e in own)
-        names = tuple(dict.fromkeys(e.effect for e in own))
-        return EffectFamily(names, c.location, min(together, 1.0))
+        """An effect and rivals that may act in its place, by simulations: that one of them is
+        there.
+        """
+        own = [c, *rivals]
+        together = self._any_of({(e.effect, e.location) for e in own})
+        effects, locations = (e.effect for e in own), (e.location for e in own)
+        return EffectFamily(tuple(effects), c.location, together, tuple(locations))
+
+    def at_its_place(self, c: Candidate, rivals: Sequence[Candidate]) -> EffectFamily:
+        """The family of an effect with its rivals at the same place."""
+        return self.family(c, [e for e in rivals if e.location == c.location])
 
     def claimed(self, c: Candidate, rivals: Sequence[Candidate]) -> bool:
         """Whether an effect or one of its rivals at its place is as probable as a claim has to
         be.
         """
-        return self.family(c, rivals).probability >= RULE.sure
+        return self.at_its_place(c, rivals).probability >= RULE.sure
 
     def with_families(
         self, belief: Belief, effects: Sequence[Candidate], rivals: Sequence[Candidate]
     ) -> Belief:
         """What some effects stand for that are not sure by themselves, where columns did not tell
-        it.
+        it: first of all what may act at the same place.
         """
         told = set(chain.from_iterable(family.places for family in belief.families))
         unsure = [c for c in effects if (c.effect, c.location) not in told]
         unsure = [c for c in unsure if belief.places.get((c.effect, c.location), 1.0) < RULE.sure]
-        families = [self.family(c, rivals) for c in unsure]
-        found = [family for family in families if len(family.effects) > 1]
+        found = []
+        for c in unsure:
+            family = self.at_its_place(c, rivals)
+            if family.probability < RULE.sure:
+                family = self.family(c, [e for e in rivals if self._instead(e, c)])
+            if len(family.effects) > 1:
+                found.append(family)
         return belief.with_families(found, [(c.effect, c.location) for c in effects])
+
+    def _instead(self, other: Candidate, c: Candidate) -> bool:
+        """Whether some set that was compared has another effect and not this one."""
+        other_place, place = (other.effect, other.location), (c.effect, c.location)
+        return any(other_place in s and place not in s for s in self.weights)
 
     def thinned(
         self, nominal: Hypothesis, chosen: Hypothesis, tried: list[Hypothesis]
@@ -404,10 +427,14 @@ def _left(h: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
 
 def _absent(b: Binding) -> list[Candidate]:
     """Effects that are part of the model, at each joint where its file has nothing of them."""
+    free = set(b.free)
+    nothing = {i for i in free.intersection(b.nominal) if b.theta[i] == 0.0}
     out = []
-    for effect in (e for e in b.chain.effects if isinstance(e, JointEffect)):
+    for effect in b.chain.effects:
+        if not isinstance(effect, JointEffect):
+            continue
         for place in b.chain.offers(effect):
-            index = tuple(i for i in b.layout.of_effect(effect.name, place) if i in b.free)
-            if index and all(i in b.nominal and b.theta[i] == 0.0 for i in index):
-                out.append(Candidate(effect.name, place, index))
+            index = free.intersection(b.layout.of_effect(effect.name, place))
+            if index and index <= nothing:
+                out.append(Candidate(effect.name, place, tuple(sorted(index))))
     return out
