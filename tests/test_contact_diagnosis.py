@@ -11,10 +11,16 @@ import jaxid
 from jaxid.conventions import checking
 from jaxid.data.dataset import ModelSpec
 from jaxid.diagnosis.goals.gains import with_room
+from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.touching import _of_numbers, Trial
 from jaxid.dynamics import catalogue
 from jaxid.fitting import problem_builder
-from jaxid.fitting.problem_builder import Begun, estimate_starts, ProblemBuilder
+from jaxid.fitting.problem_builder import (
+    Begun,
+    descend_over_stretches,
+    estimate_starts,
+    ProblemBuilder,
+)
 from jaxid.models import Robot
 from jaxid.problem.binding import bind
 from jaxid.problem.residual import OutputError
@@ -93,7 +99,7 @@ def test_numbers_of_one_kind_are_asked_together_too():
     plain = with_room(bind(robot(), recorded(TEXT, 1.0)))
     names = plain.layout.names
     asked = set()
-    for trial in _of_numbers(plain, plain, plain.theta):
+    for trial in _of_numbers(plain, plain.theta):
         asked.add(tuple(names[i] for i in trial.strengths))
         moved = np.flatnonzero(trial.theta != plain.theta)
         assert set(moved) <= set(trial.strengths)
@@ -142,6 +148,33 @@ def test_how_a_run_that_hops_began_is_found_to_the_noise():
         problem = bench.problem(OutputError(), split, [], theta)
         (left,) = problem.residuals(problem.z(theta, starts))
         assert np.sqrt(np.mean(left**2)) < 1.1
+
+
+def test_what_cannot_follow_the_beginning_is_given_up():
+    data = recorded(TEXT, 1.0)
+    bench = ProblemBuilder(bind(robot(), data), differences=1)
+    theta = bench.binding.theta.copy()
+    whole, spent = descend_over_stretches(bench, "fit", [], theta, [0], most=10.0)
+    assert whole.loss < 1.3
+    theta[bench.binding.layout.index("kp@knee")] *= 0.5
+    given_up, less = descend_over_stretches(bench, "fit", [], theta, [0], most=10.0)
+    assert given_up.cost == np.inf
+    decider = Decider(bench, bench.binding.layout.names)
+    assert not np.isfinite(decider._judged((), given_up).validation.loss)
+    assert less < 2 * spent
+
+
+def test_runs_without_effects_take_the_program_without():
+    kinds = [catalogue.effect_class(name) for name in ("input_delay", "backlash")]
+    wide = bind(robot(), recorded(TEXT, 1.0), candidates=kinds)
+    bench = ProblemBuilder(wide, differences=1, together=True)
+    engine = bench.runs(OutputError(), "fit").engine
+    late = wide.theta.copy()
+    late[wide.layout.index("input_delay.delay@hip_cmd")] = 0.01
+    groups = engine._at_work(np.array([wide.theta, late]) != engine._neutral)
+    assert sorted(map(len, groups)) == [0, 1]
+    plain, _ = engine._programs_of(frozenset())
+    assert plain is not engine._programs_of(frozenset(engine._families))[0]
 
 
 def test_by_torque_contacts_are_not_asked():

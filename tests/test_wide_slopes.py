@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxid.fitting import wide_slopes
-from jaxid.fitting.wide_slopes import descend_widely
+from jaxid.fitting.wide_slopes import descend_widely, is_noise
 
 
 SAMPLES = np.linspace(0.0, 1.0, 200)
@@ -65,6 +65,22 @@ def test_without_jumps_it_is_least_squares_with_its_curvature(noisy):
     np.testing.assert_allclose(path.hessian, slopes.T @ slopes, rtol=1e-4)
     error = np.sqrt(np.diag(np.linalg.inv(path.hessian)))
     assert np.all(np.abs(path.z - TRUE) < 4 * error)
+
+
+def test_at_the_noise_one_round_that_gains_nothing_ends_it(noisy, monkeypatch):
+    noisy(1e-9)
+    end, _ = descend_widely(problem(), TRUE, 40)
+    _, at_noise = descend_widely(problem(), end.z, 40)
+    monkeypatch.setattr(wide_slopes, "is_noise", lambda squares, count: False)
+    _, elsewhere = descend_widely(problem(), end.z, 40)
+    assert at_noise < elsewhere
+
+
+def test_chance_makes_so_much_of_noise():
+    noise = np.random.default_rng(5).normal(size=(200, 400))
+    assert all(is_noise(float(r @ r), r.size) for r in noise)
+    assert not is_noise(1.5 * 400, 400)
+    assert not is_noise(np.inf, 400)
 
 
 def test_it_stays_within_bounds(noisy):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ from jaxid.base.errors import UsageError
 from jaxid.fitting.least_squares import levenberg_marquardt, Path
 from jaxid.fitting.scale_free import shrinking
 from jaxid.fitting.secant import residuals
-from jaxid.fitting.wide_slopes import descend_widely, SLIGHT
+from jaxid.fitting.wide_slopes import descend_widely, is_noise
 from jaxid.problem.beginnings import NESTED
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
@@ -39,7 +39,8 @@ class ProblemBuilder:
 
     `defects` (residual, split) -> what finer steps would add to the simulation, at the samples
     [samples columns]: taken off the targets of its problems, so that a search on coarse steps ends
-    where one on fine steps would. `together`: one program of all effects runs every lane. `finer`:
+    where one on fine steps would. `together`: one program of all effects runs every lane (of
+    runs that touch, every lane with effects). `finer`:
     the model's own simulator takes so many steps in place of one.
     """
 
@@ -95,7 +96,7 @@ class ProblemBuilder:
                 self._shape_of(residual),
             )
             if self.together:
-                self._runs[key].engine.keep_together()
+                self._runs[key].engine.keep_together(apart=touches(b))
         return self._runs[key]
 
     def split_of(self, runs: Runs) -> str | None:
@@ -199,6 +200,11 @@ class ProblemBuilder:
                 begun = _begun(self, split, list(new.values()))
             self._begun |= dict(zip(new, begun, strict=True))
         return [self._begun[key] for key in keys]
+
+    def begun_last(self, split: str) -> Begun | None:
+        """How the runs of a split begin with the model that was asked last; None: with none yet."""
+        known = [begun for (name, _), begun in self._begun.items() if name == split]
+        return known[-1] if known else None
 
     def begin_as(self, other: ProblemBuilder) -> None:
         """Takes over how runs begin by models of another builder, whose candidates do nothing
@@ -323,8 +329,9 @@ def _begun(bench: ProblemBuilder, split: str, thetas: Sequence[np.ndarray]) -> l
 ROUNDS = 12
 #: A round for starts alone, on less than the whole of a run, that gains less is of no account.
 ROUGHLY = 1e-2
-#: Mean squares of noise differ from 1 by so many of their standard deviations at most.
-CHANCE = 4.0
+#: A model that leaves this many times the noise on a stretch does not follow it: what comes after
+#: tells nothing of how the run began.
+LOST = 10.0
 
 
 def touches(binding: Binding) -> bool:
@@ -333,10 +340,18 @@ def touches(binding: Binding) -> bool:
 
 
 def _begun_touching(bench: ProblemBuilder, split: str, theta: np.ndarray) -> Begun:
-    """The start is fitted to the whole of a run."""
+    """The start is fitted to the whole of a run: from that of another model, where it is near."""
     starts, information = [], []
-    for run in range(len(bench.runs(OutputError(), split).heads)):
-        path, _ = descend_over_stretches(bench, split, [], theta, [run])
+    runs, before = bench.runs(OutputError(), split), bench.begun_last(split)
+    for run in range(len(runs.heads)):
+        path = None
+        if before is not None:
+            p = bench.problem(OutputError(), split, [], theta, [runs.records[run]])
+            z = p.z(theta, before.starts[run][None])
+            if _followed(p, z):
+                path, _ = descend_widely(p, z, ROUNDS)
+        if path is None:
+            path, _ = descend_over_stretches(bench, split, [], theta, [run])
         assert path.hessian is not None
         starts.append(path.problem.starts(path.z)[0])
         information.append(path.hessian)
@@ -349,34 +364,52 @@ def descend_over_stretches(
     free: Sequence[int] | np.ndarray,
     theta: np.ndarray,
     which: Sequence[int],
+    most: float = np.inf,
 ) -> tuple[Path, int]:
     """A fit to runs that touch (`which` of a split), over one nested stretch after the other, and
     how many times they were simulated: what the first of them tell decides where the next ones
-    touch.
+    touch. It is given up, at a cost without end, where a stretch leaves more than `most` times the
+    noise.
     """
     runs = bench.runs(OutputError(), split)
     starts, path, spent = None, None, 0
-    starts_alone = not len(free)
+    starts_alone, lost = not len(free), False
     for level in reversed(range(len(NESTED))):
         stretches = [runs.heads[run][level] for run in which]
         if level == 0:
             stretches = [runs.records[run] for run in which]
-        p = bench.problem(OutputError(), split, free, theta, stretches)
-        z = p.z(theta, starts)
-        roughly = starts_alone and level > 0
-        if roughly and starts is not None:
-            spent += 1
-            if _followed(p, z):
+        elif lost:
+            continue
+        else:  # numbers that a stretch does not tell stay where they are
+            held = bench.problem(OutputError(), split, [], theta, stretches)
+            begun, simulated = _begun_on(held, held.z(theta, starts), known=starts is not None)
+            spent += simulated
+            followed = is_noise(2 * begun.cost, begun.count)
+            if starts_alone or followed or starts is None:
+                starts = held.starts(begun.z)
+            if starts_alone or followed:
+                lost = not begun.loss <= LOST
                 continue
-        path, simulated = descend_widely(p, z, ROUNDS, ROUGHLY if roughly else SLIGHT)
+        p = bench.problem(OutputError(), split, free, theta, stretches)
+        path, simulated = descend_widely(p, p.z(theta, starts), 1 if lost else ROUNDS)
         theta, starts = p.theta(path.z), p.starts(path.z)
         spent += simulated
+        if not path.loss <= most:
+            return replace(path, cost=np.inf), spent
     assert path is not None
     return path, spent
+
+
+def _begun_on(p: FitProblem, z: np.ndarray, known: bool) -> tuple[Path, int]:
+    """How runs begin by a stretch, roughly, from z, and how many times it was simulated; where
+    that is `known` and followed, z itself.
+    """
+    rounds = 0 if known and _followed(p, z) else ROUNDS
+    return descend_widely(p, z, rounds, ROUGHLY)
 
 
 def _followed(p: FitProblem, z: np.ndarray) -> bool:
     """Whether a stretch is followed to its noise, within what chance makes of it."""
     (left,) = residuals(p, [z])
     with np.errstate(all="ignore"):
-        return bool(np.mean(left**2) <= 1 + CHANCE * np.sqrt(2 / left.size))
+        return is_noise(float(left @ left), left.size)

@@ -29,6 +29,8 @@ SCATTER = 0.3
 TINY = 1e-6
 #: A round that gains less than this share is of no account.
 SLIGHT = 1e-3
+#: Mean squares of noise differ from 1 by so many of their standard deviations at most.
+CHANCE = 4.0
 
 
 class WideDescent:
@@ -158,7 +160,7 @@ def descend_widely(
     p: FitProblem, z: np.ndarray, rounds: int, slight: float = SLIGHT
 ) -> tuple[Path, int]:
     """A descent from z, and how many times the runs were simulated. Ends after so many rounds, or
-    where one of each width gains no more than the share `slight`.
+    where one of each width gains no more than the share `slight`; one, where it is at the noise.
     """
     descent = WideDescent(p, z)
     if not p.size:
@@ -170,9 +172,16 @@ def descend_widely(
         before = descent.squares
         gained = descent.step(WIDTHS[k % len(WIDTHS)])
         idle = idle + 1 if gained <= slight * before else 0
+        if idle and is_noise(descent.squares, descent.count):
+            idle = len(WIDTHS)
         if idle == len(WIDTHS):
             break
     return descent.path(idle == len(WIDTHS)), descent.simulated
+
+
+def is_noise(squares: float, count: int) -> bool:
+    """Whether the squares of so many residuals sum up to no more than chance makes of noise."""
+    return squares <= count + CHANCE * np.sqrt(2 * count)
 
 
 def _squares(r: np.ndarray) -> float:

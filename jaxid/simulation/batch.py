@@ -174,11 +174,12 @@ class BatchSimulator:
         optional = set(chain.from_iterable(self._families.values()))
         self._always = layout.chain.mechanism.hidden_states or not set(memory) <= optional
 
-    def keep_together(self) -> None:
+    def keep_together(self, apart: bool = False) -> None:
         """From now on every lane runs in the program of all effects: one compilation, where few
-        effects are asked.
+        effects are asked. `apart`: lanes without any stay in the program without.
         """
-        self._families = {}
+        every = list(self._families.values())
+        self._families = {"every effect": np.concatenate(every)} if apart and every else {}
 
     def theta_of(self, theta: np.ndarray, record: np.ndarray) -> np.ndarray:
         """The numbers in force on each lane's record."""

@@ -21,6 +21,7 @@ from jaxid.diagnosis.goals.own_run import FileRun
 from jaxid.diagnosis.goals.propose import as_vector, candidates_of, Proposal
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.single_changes import belief_of
+from jaxid.diagnosis.goals.touching import FAR
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
 from jaxid.diagnosis.selection import indistinct, joint_loss
 from jaxid.diagnosis.thresholds import LIMITS
@@ -80,8 +81,11 @@ class Alone:
                 continue
             h = self.decider.refit(own, theta, self.stands.path)
             out.append(h)
+            if self.decider.at_noise(h):
+                self.decider.most = FAR
             if not change.index and joint_loss(h) < least_left:
                 self.nearest, least_left = change, joint_loss(h)
+        self.decider.most = np.inf
         out = [h for h in out if np.isfinite(joint_loss(h))]
         if out and not any(map(self.decider.at_noise, out)):
             nearest = min(out, key=joint_loss)

@@ -215,7 +215,7 @@ def _touching(ask: GoalsQuestion, binding: Binding, seed: int, began: float) -> 
     every = [kind.name for kind in ask.kinds]
     wide = begun_as(every)
     say("the file's own run", 1, 1, f"changes, {len(every)} kinds of effects")
-    stated = AsStated(bench, run, lambda: simulated_changes(wide, binding, ask.kinds))
+    stated = AsStated(bench, run, lambda: simulated_changes(bench, wide, binding, ask.kinds))
     alone = kinds_of([change.proposal for change in stated.changes])
     road = _Road(
         names=binding.layout.names,

@@ -9,7 +9,7 @@ from itertools import chain
 import numpy as np
 
 from jaxid.diagnosis.belief import Belief, EffectFamily
-from jaxid.diagnosis.evidence import held_out, knowledge, level
+from jaxid.diagnosis.evidence import held_out, HeldOut, knowledge, level
 from jaxid.diagnosis.goals.left_open import left_open
 from jaxid.diagnosis.goals.propose import as_vector, candidates_of, ProposedSets
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
@@ -61,6 +61,7 @@ class Decider:
     #: Sets of effects at places that were compared last -> probability.
     weights: dict[frozenset[tuple[str, str]], float] = field(default_factory=dict)
     asked: frozenset[int] = frozenset()  # numbers of the model that are asked for as effects
+    most: float = np.inf  # of the noise that a stretch of runs that touch may leave
 
     def refit(
         self, effects: Sequence[Candidate], theta: np.ndarray, like: Path | None = None
@@ -104,7 +105,7 @@ class Decider:
             if np.mean(left**2) <= level(left.size):
                 return descend_widely(p, z, TOUCHING)
         every = range(len(p.records))
-        return descend_over_stretches(self.bench, "fit", p.free, p.base, every)
+        return descend_over_stretches(self.bench, "fit", p.free, p.base, every, self.most)
 
     def polished(self, h: Hypothesis) -> Hypothesis:
         """The same from where its descent ended, with slopes of its own: those of another model
@@ -149,6 +150,8 @@ class Decider:
 
     def _judged(self, effects: Sequence[Candidate], path: Path) -> Hypothesis:
         theta = path.problem.theta(path.z)
+        if not np.isfinite(path.cost):
+            return Hypothesis(tuple(effects), theta, path, HeldOut([], [], np.inf, 0))
         (held,) = held_out(self.bench, "validation", [theta], OutputError(), [knowledge(path)])
         found = Hypothesis(tuple(effects), theta, path, held)
         if effects:

@@ -1,9 +1,10 @@
 """Single changes of a robot by simulation: of its file where runs touch, of a model where columns
 show nothing.
 
-Columns along a motion know nothing of the forces of the ground. Every number and every effect is
-therefore simulated at a few sizes, with all else as stated, and ranked by what it leaves once the
-starts of the runs have moved, to first order, to where they leave least.
+Columns along a motion know nothing of the forces of the ground. Every number is therefore simulated
+at a few sizes, with all else as stated, and ranked by what it leaves once the starts of the runs
+have moved, to first order, to where they leave least. An effect is simulated once, over a part of
+the runs, and goes on in the size that leaves least there to first order.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from jaxid.dynamics.parameter import specs
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.secant import simulated
 from jaxid.fitting.wide_slopes import WideDescent
+from jaxid.problem.beginnings import NESTED
 from jaxid.problem.binding import Binding
 from jaxid.problem.residual import OutputError
 from jaxid.simulation.sample_buffers import step_count
@@ -31,14 +33,19 @@ from jaxid.simulation.sample_buffers import step_count
 
 #: Sizes of a number that are tried, in its standard deviations or typical changes.
 OF_NUMBERS = (-8.0, -2.0, -0.5, 0.5, 2.0, 8.0)
-#: Sizes of an effect that are tried, as shares of its probes.
-OF_EFFECTS = (1.0, 0.25, -1.0, -0.25)
+#: Share of an effect's probes at which runs that touch are simulated: further off they touch
+#: elsewhere.
+SMALL = 0.25
+#: Effects whose aimed size is simulated over the whole of the runs.
+AIMED_AT = 32
 #: Shares of the best size of each change that are tried next.
 NEARBY = (0.35, 0.5, 0.7, 0.85, 1.2, 1.5, 2.0, 3.0)
 #: Changes whose sizes are tried more closely.
 LOOKED_AT = 16
 #: A change that leaves this many times as much as the best one is not what explains the runs.
 FAR = 10.0
+#: Which of the nested stretches of a run is its first half.
+HALF = NESTED.index(2)
 #: Simulations whose runs are kept at a time.
 AT_ONCE = 256
 #: Steps of all runs beyond which every effect is not simulated: minutes.
@@ -74,22 +81,46 @@ class Trial:
 
 
 def simulated_changes(
-    bench: ProblemBuilder, plain: Binding, kinds: Sequence[type[Effect]]
+    bench: ProblemBuilder,
+    wide: ProblemBuilder,
+    plain: Binding,
+    kinds: Sequence[type[Effect]],
 ) -> list[StatedDifference]:
-    """The changes of the model `plain` that leave least by themselves, likeliest first; `bench` has
-    the effects of these kinds as candidates.
+    """The changes of the model `plain`, that of `bench`, which leave least by themselves, likeliest
+    first; `wide` has the effects of these kinds as candidates.
     """
-    wide = bench.binding
-    theta = _in_wide(wide, plain, plain.theta)
-    judge = _Judge(bench, theta, [], estimate_starts(bench, "fit", [theta])[0])
-    every = [*_of_numbers(wide, plain, theta), *_of_effects(wide, kinds, theta)]
-    near = judge.nearest(every)
+    stated = plain.theta
+    starts = estimate_starts(bench, "fit", [stated])[0]
+    own = _Judge(bench, stated, [], starts).nearest(list(_of_numbers(plain, stated)))
+    theta = _in_wide(wide.binding, plain, stated)
+    found = [*own, *_nearest_effects(wide, kinds, theta, [], starts)]
+    near = _not_far(found)
     most = {"number": FIRST // 2, "law": FIRST // 2, "effect": FIRST, "effects": FIRST // 2}
     out = []
-    for kind, count in most.items():
-        own = [trial for trial in near if trial.kind == kind]
-        out += [_difference(wide, plain, trial) for trial in own[:count]]
+    for trial in near:
+        most[trial.kind] -= 1
+        if most[trial.kind] >= 0:
+            out.append(_difference(wide.binding, plain, trial))
     return out
+
+
+def _nearest_effects(
+    wide: ProblemBuilder,
+    kinds: Sequence[type[Effect]],
+    theta: np.ndarray,
+    free: Sequence[int] | np.ndarray,
+    starts: np.ndarray,
+) -> list[tuple[float, Trial]]:
+    """What effects leave beside numbers theta, and those that leave least."""
+    trials = list(_of_effects(wide.binding, kinds, theta, (SMALL,)))
+    aimed = _Judge(wide, theta, free, starts, HALF).aimed(trials)
+    return _Judge(wide, theta, free, starts).nearest(aimed[:AIMED_AT])
+
+
+def _not_far(found: Sequence[tuple[float, Trial]]) -> list[Trial]:
+    """Least left first, none that leaves far more than the best."""
+    ordered = sorted(found, key=lambda pair: pair[0])
+    return [trial for cost, trial in ordered if cost <= FAR * ordered[0][0]]
 
 
 def simulated_effects(
@@ -100,8 +131,7 @@ def simulated_effects(
     """
     wide, path = bench.binding, nominal.path
     starts = path.problem.starts(path.z)
-    judge = _Judge(bench, nominal.theta, path.problem.free, starts)
-    near = judge.nearest(list(_of_effects(wide, kinds, nominal.theta)))
+    near = _not_far(_nearest_effects(bench, kinds, nominal.theta, path.problem.free, starts))
     theta = nominal.theta[[wide.layout.index(name) for name in plain.layout.names]]
     retuned = replace(plain, theta=theta)
     return [_difference(wide, retuned, trial).proposal for trial in near[:FIRST]]
@@ -135,7 +165,7 @@ def effects_by_runs(
     if steps * len(trials) > LONG:
         return []
     judge = _Judge(bench, theta, free, starts)
-    near = judge.nearest(judge.aimed(trials)[:LOOKED_AT])
+    near = _not_far(judge.nearest(judge.aimed(trials)[:LOOKED_AT]))
     own = theta[[wide.layout.index(name) for name in plain.layout.names]]
     retuned = replace(plain, theta=own)
     return [_difference(wide, retuned, trial).proposal for trial in near[:FIRST]]
@@ -152,8 +182,15 @@ class _Judge:
         theta: np.ndarray,
         free: Sequence[int] | np.ndarray,
         starts: np.ndarray,
+        stretch: int = 0,
     ):
-        p = bench.problem(OutputError(), "fit", free, theta)
+        """`stretch`: which of the nested first stretches of the runs are simulated, by default the
+        whole of them.
+        """
+        heads = None
+        if stretch:
+            heads = [nested[stretch] for nested in bench.runs(OutputError(), "fit").heads]
+        p = bench.problem(OutputError(), "fit", free, theta, heads)
         self.bounds = bench.binding.lower, bench.binding.upper
         self.problem, self.starts = p, starts
         z = p.z(theta, starts)
@@ -183,7 +220,7 @@ class _Judge:
         known = np.zeros_like(self.known)
         before = self._rest(np.concatenate([plain, self.known]))
         lower, upper = self.bounds
-        found: dict[tuple[object, ...], tuple[float, Trial]] = {}
+        found: list[tuple[float, Trial]] = []
         for trial, residual in self._simulated(trials):
             if not np.isfinite(residual).all():
                 continue
@@ -194,30 +231,21 @@ class _Judge:
                 two_sided = np.any(lower[list(trial.strengths)] < 0)
                 share = share if two_sided else max(share, 0.0)
             after = before + share * moved
-            cost = float(after @ after)
-            if cost < found.get(trial.place, (np.inf,))[0]:
-                found[trial.place] = cost, trial.scaled(share, lower, upper)
-        return [trial for _, trial in sorted(found.values(), key=lambda pair: pair[0])]
+            found.append((float(after @ after), trial.scaled(share, lower, upper)))
+        return [trial for _, trial in _least(found)]
 
-    def nearest(self, trials: Sequence[Trial]) -> list[Trial]:
-        """Each change in its best size, least left first; none that leaves far more than the
-        best.
-        """
+    def nearest(self, trials: Sequence[Trial]) -> list[tuple[float, Trial]]:
+        """Each change in its best size, and what it leaves; least first."""
         best = self._best(trials)
         nearer = []
         for _, trial in best[:LOOKED_AT]:
             nearer += [trial.scaled(share, *self.bounds) for share in NEARBY]
-        best = self._best([*nearer, *(trial for _, trial in best)])
-        return [trial for cost, trial in best if cost <= FAR * best[0][0]]
+        return _least([*best, *self._best(nearer)])
 
     def _best(self, trials: Sequence[Trial]) -> list[tuple[float, Trial]]:
         """The best size of each change, and what it leaves; least first."""
-        found: dict[tuple[object, ...], tuple[float, Trial]] = {}
-        for trial, residual in self._simulated(trials):
-            cost = self.left(residual)
-            if cost < found.get(trial.place, (np.inf,))[0]:
-                found[trial.place] = cost, trial
-        return sorted(found.values(), key=lambda pair: pair[0])
+        every = self._simulated(trials)
+        return _least([(self.left(residual), trial) for trial, residual in every])
 
     def _simulated(self, trials: Sequence[Trial]) -> Iterator[tuple[Trial, np.ndarray]]:
         """Each trial with its residual."""
@@ -228,7 +256,16 @@ class _Judge:
             yield from zip(part, residuals, strict=True)
 
 
-def _of_numbers(wide: Binding, plain: Binding, stated: np.ndarray) -> Iterator[Trial]:
+def _least(found: Sequence[tuple[float, Trial]]) -> list[tuple[float, Trial]]:
+    """Of each change the size that leaves least; least first."""
+    best: dict[tuple[object, ...], tuple[float, Trial]] = {}
+    for cost, trial in found:
+        if cost < best.get(trial.place, (np.inf,))[0]:
+            best[trial.place] = cost, trial
+    return sorted(best.values(), key=lambda pair: pair[0])
+
+
+def _of_numbers(plain: Binding, stated: np.ndarray) -> Iterator[Trial]:
     """Each number of the file or its law by itself, and those of one kind at all of their
     places.
     """
@@ -236,27 +273,26 @@ def _of_numbers(wide: Binding, plain: Binding, stated: np.ndarray) -> Iterator[T
     gains = set(held_gains(plain))
     alike: dict[str, list[Trial]] = {}
     for i in loose.free:
-        own = wide.layout.index(loose.layout.names[i])
         size = loose.priors[i][1] if i in loose.priors else loose.scale[i]
         kind = "law" if i in gains else "number"
         theta = stated.copy()
-        theta[own] += size
-        one = Trial(theta=theta, stated=stated, kind=kind, strengths=(own,))
+        theta[i] += size
+        one = Trial(theta=theta, stated=stated, kind=kind, strengths=(i,))
         alike.setdefault(loose.layout.names[i].partition("@")[0], []).append(one)
     for each in alike.values():
         together = [_at_all(each, stated)] if len(each) > 1 else []
         for one in (*each, *together):
             for share in OF_NUMBERS:
-                yield one.scaled(share, wide.lower, wide.upper)
+                yield one.scaled(share, plain.lower, plain.upper)
 
 
 def _of_effects(
     wide: Binding,
     kinds: Sequence[type[Effect]],
     stated: np.ndarray,
-    sizes: Sequence[float] = OF_EFFECTS,
+    sizes: Sequence[float],
 ) -> Iterator[Trial]:
-    """Each effect at each place, and at all of them at once, at its probes in several sizes."""
+    """Each effect at each place, and at all of them at once, at its probes in some sizes."""
     for kind in kinds:
         places = wide.chain.offers(kind)
         each = [_at_place(wide, kind, k, place, stated, sizes) for k, place in enumerate(places)]
@@ -324,9 +360,7 @@ def _difference(wide: Binding, plain: Binding, trial: Trial) -> StatedDifference
     """A trial as what is refitted."""
     theta = plain.theta.copy()
     if not trial.units:
-        index = tuple(plain.layout.index(wide.layout.names[i]) for i in trial.strengths)
-        theta[list(index)] = trial.theta[list(trial.strengths)]
-        return StatedDifference(Proposal((), (), theta), index)
+        return StatedDifference(Proposal((), (), trial.theta), trial.strengths)
     units, numbers = [], []
     for effect, place, fields in trial.units:
         own = {wide.layout.entries[i].field: i for i in wide.layout.of_effect(effect, place)}
