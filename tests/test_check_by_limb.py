@@ -63,6 +63,7 @@ def test_limbs_fitted_one_by_one_are_fitted_as_the_whole(recorded, monkeypatch):
     assert len(fits) == 2  # of the limb that it changes, on few rows and on all
 
 
+@pytest.mark.slow
 def test_a_sign_within_a_limb_and_joints_of_two_limbs_exchanged_are_found(recorded):
     model, data = recorded
     (run,) = data.experiments

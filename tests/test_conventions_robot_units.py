@@ -118,7 +118,7 @@ def found(rig: tuple, slip: Slip, folder: Path) -> DataFinding:
     [
         (GANTRY_RIG, thousandths, "x_tau", 1000.0),
         (GANTRY_RIG, pounds, "x_tau", 0.224809),
-        (ARM_RIG, elbow_in_degrees, "elbow", 180 / np.pi),
+        pytest.param(ARM_RIG, elbow_in_degrees, "elbow", 180 / np.pi, marks=pytest.mark.slow),
     ],
 )
 def test_what_a_file_states_tells_units(rig, slip, channel, value, tmp_path):

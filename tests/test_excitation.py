@@ -501,6 +501,7 @@ HINGE = """<mujoco><compiler angle="radian"/><worldbody><body name="arm">
 GOALS = """<actuator><position joint="shoulder" kp="10" kv="0.3"/></actuator>"""
 
 
+@pytest.mark.slow
 def test_the_range_of_a_file_stays_where_it_is(tmp_path):
     """The arm hangs at pi / 2 without drive, beyond its range of 1.5 rad."""
     file = tmp_path / "robot.xml"

@@ -179,6 +179,7 @@ def test_the_files_own_steps_are_taken_under_goals_where_they_are_known(robot):
 DRY = FILE.replace('frictionloss="0.5"', 'frictionloss="1.8"')
 
 
+@pytest.mark.slow
 def test_a_single_number_is_found_by_the_files_own_steps(robot):
     """Columns that know no steps propose it, and the run of the file at its own steps settles it."""
     u = goals(1.5)

@@ -174,6 +174,7 @@ def test_the_truth_lies_inside_as_often_as_it_is_said(clean):
     assert sum(inside) >= 42
 
 
+@pytest.mark.slow
 def test_a_model_that_misses_the_data_is_not_believed_for_its_number_of_samples(clean):
     t = np.arange(400) * 0.01
     q = clean + 0.03 * np.sin(2 * t) + NOISE * np.random.default_rng(5).normal(size=clean.size)

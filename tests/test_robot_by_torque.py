@@ -80,6 +80,7 @@ def test_a_wrong_number_of_the_file_is_the_answer(file):
     assert "elbow" in str(found) and "0.42" in str(found)
 
 
+@pytest.mark.slow
 def test_a_right_file_has_nothing_refuted(file):
     found = jaxid.diagnose(file, recorded(FILE), residual="inverse_dynamics")
     assert found.which.verdict == "none"

@@ -227,6 +227,7 @@ def test_numbers_count_that_a_fit_tells_from_what_they_were(torque):
     assert alone.told(alone.stands) == []
 
 
+@pytest.mark.slow
 def test_simulations_show_a_law_at_speeds_at_which_friction_turns_about():
     """One size of each effect is simulated; the best one is that which the recording has."""
     model = robot(limb("lift", 0.2))

@@ -93,7 +93,8 @@ def test_verdicts_hold_on_report_data(verdict, before, retuned, after, several):
     found, words = held.name, held.text
     check_numbers(words)
     if found in ("named", "partly"):
-        at_noise = retuned <= LIMITS.seen and after**2 <= 1.02 * max(1.02, retuned**2)
+        alike = 1 + LIMITS.noise_known
+        at_noise = retuned <= LIMITS.near and after**2 <= alike * max(alike, retuned**2)
         assert after < min(before, retuned) or at_noise
     else:
         assert "not claimed" in words and wording.times(after) in words
@@ -283,7 +284,7 @@ def test_a_gap_by_torque_is_told_with_the_data_that_it_is_of(left):
     with MonkeyPatch.context() as patch:
         patch.setattr(judge_by_torque, "_possible", lambda _: [])
         verdict = judge_by_torque._nothing_claimed(found)
-    assert (verdict.name == "none") == (max(left) <= LIMITS.seen)
+    assert (verdict.name == "none") == (max(left) <= LIMITS.near)
     if verdict.name == "unknown":
         told = re.findall(r"\((.*) times the noise on (\w+) data\)", verdict.text)
         assert told == [(wording.times(left[runs[told[0][1]][0]]), told[0][1])]

@@ -38,6 +38,7 @@ def test_a_machine_in_finer_steps_refutes_no_right_number(readings, monkeypatch)
     assert refuted(readings, FILE)  # what it is there for
 
 
+@pytest.mark.slow
 def test_a_wrong_number_is_refuted_all_the_same(readings):
     found = refuted(readings, FILE.replace('damping="0.4"', 'damping="1.0"'))
     assert found.keys() == {"kd + damping of lift"}

@@ -30,3 +30,9 @@ def test_each_decides_something():
     text += "".join(p.read_text() for p in (SOURCES.parent / "report").rglob("*.py"))
     unused = [f for f, *_ in Thresholds().table() if not re.search(rf"LIMITS\.{f}\b", text)]
     assert not unused
+
+
+def test_there_are_few_and_each_has_a_recorded_case():
+    rows = LIMITS.table()
+    assert len(rows) <= 15
+    assert not [name for name, *_, case in rows if case == "not recorded"]

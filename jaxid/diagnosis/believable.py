@@ -29,20 +29,25 @@ def _doubt(effect: EffectEstimate, covariance: Covariance | None) -> str:
     strengths = _strengths(effect)
     if _passes(effect) < LIMITS.switched_off:
         return f"{effect} all but switches the drive off"
-    known = {k: p for k, p in strengths.items() if p.std is not None and p.std > 0}
-    apart = any(abs(p.value) >= 2 * p.std for p in known.values() if p.std is not None)
-    if (
-        known
-        and len(known) == len(strengths)
-        and not apart
-        and not _together(effect, known, covariance)
-    ):
+    if _does_nothing(effect, strengths, covariance):
         return f"{effect} is within two standard deviations of doing nothing"
     for name, p in strengths.items():
         share = (p.lower, p.upper) == (0.0, 1.0)  # its end is where it is whole
         if p.at_bound and p.value != 0 and not share:
             return f"{name} of {effect} was pushed to its bound"
     return ""
+
+
+def _does_nothing(
+    effect: EffectEstimate, strengths: dict[str, Estimate], covariance: Covariance | None
+) -> bool:
+    """Whether the spread of each strength is known, and takes it, and all together, in."""
+    for p in strengths.values():
+        if p.std is None or not p.std > 0:
+            return False
+        if abs(p.value) >= LIMITS.two_sigma * p.std:
+            return False
+    return bool(strengths) and not _together(effect, strengths, covariance)
 
 
 def _passes(effect: EffectEstimate) -> float:

@@ -113,7 +113,7 @@ class Judge:
         verdict = upheld(judged, gaps, several)
         # Unless the model follows the fit runs and what they leave open can account for it, where
         # it is not better without; what is `partly` there has to hold as it is.
-        if judged.name == "named" != verdict.name and gaps.retuned > LIMITS.seen:
+        if judged.name == "named" != verdict.name and gaps.retuned > LIMITS.near:
             within = upheld(judged, self._within_what_is_known(gaps, found.final), several)
             if within.name != judged.name:
                 verdict = within
@@ -134,7 +134,7 @@ class Judge:
         validation data leave them.
         """
         told = [knowledge(h.path) for h in (self.nominal, final)]
-        follow = [None, final.path if final.fit_loss <= LIMITS.near_noise else None]
+        follow = [None, final.path if final.fit_loss <= LIMITS.near**2 else None]
         seen = held_out(
             self.bench, "report", [self.nominal.theta, final.theta], self.residual, told, follow
         )
@@ -161,6 +161,6 @@ class Judge:
         places = astray(
             *shrinking.parts(self.bench, self.residual, "report", within), within.gap_settled
         )
-        if not places and within.gap_settled <= LIMITS.seen:
+        if not places and within.gap_settled <= LIMITS.near:
             return found
         return self._claim(Verdict("unknown", (ReportNotReached(far.gap_retuned, tuple(places)),)))

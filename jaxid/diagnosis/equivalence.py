@@ -40,6 +40,8 @@ from jaxid.robots.match import is_file, robot_from
 #: A weak effect is this share of a probe: what a first-order re-tuning leaves of one that is
 #: absorbed exactly goes with its strength, what it cannot absorb does not.
 WEAK = 5e-5
+#: Re-tuning to first order leaves less than this share of a weak effect that it absorbs exactly.
+ABSORBED = 10 * WEAK
 RATE, SECONDS = 200, 5.0
 #: The motion that is compared on travels so far at most (rad, m).
 TRAVEL = 2.5
@@ -133,7 +135,7 @@ def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
         place = Place(c.effect, c.location, max(reaction.left, default=1.0))
         if not reaction.acts:
             invisible.append(Place(c.effect, c.location, 0.0))
-        elif reaction.left and place.left < LIMITS.absorbed:
+        elif reaction.left and place.left < ABSORBED:
             absorbed.append(place)
         else:
             seen[place] = np.array(reaction.directions), c
@@ -223,7 +225,7 @@ def _parallel(seen: dict[Place, tuple[np.ndarray, Candidate]]) -> list[tuple[Pla
         a, b = seen[first][0], seen[second][0]
         if a.size and b.size:
             cosines = np.abs(a @ b.T)
-            if min(cosines.max(1).min(), cosines.max(0).min()) > LIMITS.parallel:
+            if min(cosines.max(1).min(), cosines.max(0).min()) > 1 - LIMITS.equivalent:
                 out.append((first, second))
     return out
 

@@ -175,7 +175,7 @@ def _free(
     far = {
         k: path
         for k, path in enumerate(follow)
-        if path is not None and out[k].loss > LIMITS.at_noise
+        if path is not None and out[k].loss > level(out[k].count)
     }
     for (k, path), end in zip(
         far.items(), together(bench, split, list(far.values()), starts[list(far)]), strict=True
@@ -261,6 +261,13 @@ def correlation(r: np.ndarray) -> np.ndarray:
     return np.fft.irfft(f * np.conj(f))[: n // 2] / max(float(r @ r), 1e-300)
 
 
+def level(count: int) -> float:
+    """Mean square up to which residuals are noise: what chance makes of it, and how well the noise
+    itself is known.
+    """
+    return 1 + 4 * np.sqrt(2 / max(1, count)) + LIMITS.noise_known
+
+
 def memory(series: Sequence[np.ndarray]) -> int:
     """Samples over which a residual remembers itself: the integrated correlation time 1 + 2 sum rho
     up to the first lag whose correlation is lost in the noise; the mean over runs, the longest over
@@ -276,7 +283,7 @@ def memory(series: Sequence[np.ndarray]) -> int:
                 times[k, c] = len(r)
             elif len(r) >= 8 and np.ptp(r) > 0:
                 rho = correlation(r)
-                below = np.flatnonzero(rho < max(0.05, 2 / np.sqrt(len(r))))
+                below = np.flatnonzero(rho < LIMITS.two_sigma / np.sqrt(len(r)))
                 times[k, c] = 1 + 2 * float(np.sum(rho[1 : below[0] if below.size else len(rho)]))
     return max(1, round(float(np.max(weight @ times / weight.sum()))))
 

@@ -98,7 +98,7 @@ def _by_windows(first: Answered) -> Diagnosis:
     """
     request, found = first.request, first.diagnosis
     question, verdict = request.question, found.which.verdict
-    left_over = verdict == "named" and found.how_far.gap_after > LIMITS.remainder
+    left_over = verdict == "named" and found.how_far.gap_after > LIMITS.far
     if question.residual is not None or not (verdict in ("unknown", "partly") or left_over):
         return found
     grown = first.growth()

@@ -17,7 +17,8 @@ from jaxid.fitting.least_squares import levenberg_marquardt, Path
 from jaxid.problem.problem import FitProblem
 
 
-#: This many numbers are put back at most, those that are further away than this.
+#: This many numbers are put back at most, of those that are further away than this (in typical
+#: changes).
 TRIED, SHORT = 3, 0.1
 
 
@@ -25,7 +26,7 @@ def brought_back(paths: Sequence[Path], theta: np.ndarray, index: Sequence[int])
     """The paths; those whose data leave directions open are moved along them towards where the
     numbers at `index` are those of `theta`, if that costs nothing.
     """
-    most = LIMITS.pull_hopeless * min((path.cost for path in paths), default=0.0)
+    most = LIMITS.far * min((path.cost for path in paths), default=0.0)
     jobs: dict[int, tuple[FitProblem, np.ndarray]] = {}
     for k, path in enumerate(paths):
         move = _way_back(path, theta, index) if path.cost <= most else None
@@ -138,4 +139,4 @@ def _way_back(path: Path, theta: np.ndarray, index: Sequence[int]) -> np.ndarray
     share = V.T @ way
     open_ = share**2 * np.maximum(w, 0.0) / 2 < LIMITS.pull_cost
     move = V[:, open_] @ share[open_]
-    return p.scale * move if np.linalg.norm(move) > LIMITS.pull_short else None
+    return p.scale * move if np.linalg.norm(move) > SHORT else None

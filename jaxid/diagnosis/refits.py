@@ -75,7 +75,7 @@ class Refits:
         # Only what fits as well as the best, and almost down to the noise, may turn out to be right
         # elsewhere.
         lowest = min(path.loss for path in paths)
-        most = min(LIMITS.followed * lowest, LIMITS.followed_near)
+        most = min(lowest / LIMITS.half, LIMITS.far)
         follow = [path if path.loss <= most else None for path in paths]
         told = list(map(knowledge, paths))
         predicted = held_out(self.bench, "validation", thetas, self.residual, told, follow)
@@ -136,7 +136,7 @@ class Refits:
         better = {
             k: end
             for k, end in zip(jobs, ends, strict=True)
-            if end.loss < LIMITS.halved * found[k].fit_loss
+            if end.loss < LIMITS.half * found[k].fit_loss
         }
         fresh = self.hypotheses([(found[k].effects, end) for k, end in better.items()])
         out = list(found)
@@ -158,7 +158,7 @@ class Refits:
         nothing for the richer one to add: an effect may have led out of a local minimum, or along
         what the fit runs leave open, and be of no other use.
         """
-        quiet = h.fit_inflation < LIMITS.near_noise
+        quiet = h.fit_inflation < LIMITS.near**2
         if joint_loss(h) < LIMITS.far and not quiet:
             return h
         theta = self._without_more(richer, h)
@@ -169,8 +169,8 @@ class Refits:
         (end,) = levenberg_marquardt([(problem, _z(problem, richer, theta))], *THOROUGH)
         (freed,) = self.hypotheses([(h.effects, end)])
         share = joint_loss(freed) / joint_loss(h)
-        no_use = quiet and share * LIMITS.alike < 1 and not leads_on(freed, richer)
-        if share > LIMITS.halved and not no_use:
+        no_use = quiet and share * (1 + LIMITS.noise_known) < 1 and not leads_on(freed, richer)
+        if share > LIMITS.half and not no_use:
             return h
         self.known[key_of(h.effects)] = freed
         return freed
@@ -281,7 +281,7 @@ class Refits:
         if path is h.path:
             return h
         (after,) = self.hypotheses([(h.effects, path)])
-        return after if after.validation.loss < h.validation.loss * LIMITS.alike else h
+        return after if _as_near(after, h) else h
 
     def taught(self, h: Hypothesis) -> Hypothesis:
         """What the fit runs leave open, as the validation runs have it, for a model that follows
@@ -292,17 +292,17 @@ class Refits:
             return h
         paths = [brought_back([h.path], theta, h.path.problem.free)[0], moved_to(h.path, theta)]
         moved = self.hypotheses([(h.effects, path) for path in paths if path is not h.path])
-        good = [g for g in moved if g.validation.loss < h.validation.loss * LIMITS.alike]
+        good = [g for g in moved if _as_near(g, h)]
         return min([h, *good], key=lambda g: g.validation.gap)
 
     def _as_validation_runs_have_it(self, h: Hypothesis) -> np.ndarray | None:
         """Numbers fitted to fit and validation runs at once; None where that says nothing new."""
-        if h.fit_loss > LIMITS.followed_near:
+        if h.fit_loss > LIMITS.far:
             return None
         held = h.validation
         if held.theta is not None:
             return held.theta
-        left_open = held.gap**2 > held.loss + LIMITS.left_open
+        left_open = held.gap**2 > (1 + LIMITS.noise_known) * held.loss
         if not left_open or not self.residual.free_run:
             return None
         quick = self.benches[0]
@@ -314,9 +314,14 @@ class Refits:
 def _far_ahead(h: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
     """Of those that contain it, the one that leaves far less, and least."""
     own = key_of(h.effects)
-    most = LIMITS.halved
+    most = LIMITS.half
     richer = [g for g in found if own < key_of(g.effects) and g.fit_loss < most * h.fit_loss]
     return min(richer, key=lambda g: g.fit_loss, default=None)
+
+
+def _as_near(other: Hypothesis, h: Hypothesis) -> bool:
+    """Whether it leaves as much of validation runs, as well as the noise is known."""
+    return other.validation.loss < h.validation.loss * (1 + LIMITS.noise_known)
 
 
 def _z(problem: FitProblem, h: Hypothesis, theta: np.ndarray | None = None) -> np.ndarray:

@@ -27,7 +27,6 @@ from jaxid.diagnosis.screen import Screened, screened, torque_screened
 from jaxid.diagnosis.selection import (
     at_floor,
     close_to_noise,
-    finished,
     in_lead,
     indistinct,
     joint_loss,
@@ -122,7 +121,7 @@ class Searcher:
         """One effect after the other, as long as the data speak for more."""
         fits = self.fits
         chosen = fits.refined(fits.nominal)
-        while len(chosen.effects) < max_effects and not finished(chosen) and self._goes_on():
+        while len(chosen.effects) < max_effects and not at_floor(chosen) and self._goes_on():
             room = max_effects - len(chosen.effects)
             found = self._beside(chosen, pool, room)
             step = self._step(chosen, found, pool, room)
@@ -237,7 +236,7 @@ class Searcher:
         sets = pairs(self.fits.bench, found)
         out = self.fits.refit([(both, starts) for both, starts in sets if len(both) <= most])
         lead = min(found, key=lambda f: f.fit_loss, default=h)
-        if lead.fit_loss < LIMITS.halved * h.fit_loss and len(lead.effects) < most:
+        if lead.fit_loss < LIMITS.half * h.fit_loss and len(lead.effects) < most:
             out += self._extend(lead, [c for c in pool if c not in lead.effects])
         return out
 

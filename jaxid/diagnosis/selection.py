@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxid.base.wording import listed, times
-from jaxid.diagnosis.evidence import memory
+from jaxid.diagnosis.evidence import level, memory
 from jaxid.diagnosis.hypothesis import Candidate, effect_of, Hypothesis, key_of
 from jaxid.diagnosis.simulated import log_weight, SIMULATED, told_apart
 from jaxid.diagnosis.thresholds import LIMITS
@@ -113,19 +113,10 @@ def mirror_images(
 
 def at_floor(h: Hypothesis) -> bool:
     """Nothing is left to explain: the noise, and white."""
-
-    def level(count):
-        return 1 + 4 * np.sqrt(2 / max(1, count))
-
     low = h.fit_loss <= level(h.path.count) and h.validation.loss <= level(h.validation.count)
     return bool(
         low and max(memory(h.validation.settled), memory(h.path.problem.residuals(h.path.z))) <= 2
     )
-
-
-def finished(h: Hypothesis) -> bool:
-    """Nothing more is to be found. Something small is looked for beside other effects only."""
-    return max(h.validation.loss, h.fit_loss) < LIMITS.alike if h.effects else at_floor(h)
 
 
 def close_to_noise(h: Hypothesis) -> bool:
@@ -133,7 +124,7 @@ def close_to_noise(h: Hypothesis) -> bool:
     left.
     """
     white = h.fit_inflation < 1.5 * max(1.0, h.fit_loss) and memory(h.validation.settled) <= 2
-    return max(h.validation.loss, h.fit_loss) < LIMITS.near_noise and white
+    return max(h.validation.loss, h.fit_loss) < LIMITS.near**2 and white
 
 
 def rivals_among(

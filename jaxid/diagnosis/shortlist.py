@@ -71,5 +71,5 @@ def _by_name(found: Sequence[Screened]) -> dict[str, Screened]:
 
 def _head(ranked: Sequence[Screened]) -> list[Screened]:
     """What is refitted of a ranking: the first ones, and those that are as good as the best."""
-    close = [f for f in ranked[MINIMUM:] if f[0] >= ranked[0][0] - LIMITS.screen_share]
+    close = [f for f in ranked[MINIMUM:] if f[0] >= ranked[0][0] - LIMITS.equivalent]
     return [*ranked[:MINIMUM], *close]

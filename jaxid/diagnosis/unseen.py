@@ -332,8 +332,8 @@ class BlindSpotSearch:
         n = self.p.free.size
         moved = np.abs(step[:n])
         size = np.where(self.p.log, 1.0, np.maximum(np.abs(self.z[:n]), self.p.scale[:n]))
-        beyond = moved > LIMITS.hidden_beyond * self.std
-        return np.flatnonzero((moved / size > LIMITS.hidden_share) & beyond)
+        surely = moved > LIMITS.two_sigma * self.std
+        return np.flatnonzero(surely & (moved > LIMITS.equivalent * size))
 
     def _worst(self, q: Probe) -> float:
         n = self.p.free.size

@@ -19,6 +19,7 @@ from jaxid.base.wording import listed, percent, placed
 from jaxid.diagnosis.belief import Belief
 from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.budget import closed as share_closed
+from jaxid.diagnosis.evidence import level
 from jaxid.diagnosis.hypothesis import Hypothesis, SearchResult
 from jaxid.diagnosis.probability import RULE
 from jaxid.diagnosis.reasons import (
@@ -137,8 +138,7 @@ def _chosen(search: SearchResult) -> Verdict:
     left = float(np.sqrt(max(chosen.validation.loss, 1.0)))
     closed = share_closed(nominal.validation.loss, chosen.validation.loss)
     followed = share_closed(nominal.fit_loss, chosen.fit_loss)
-    floor = level(nominal.validation.count)
-    at_the_noise = chosen.validation.loss <= max(floor, LIMITS.at_noise)
+    at_the_noise = chosen.validation.loss <= level(chosen.validation.count)
     fits = followed >= LIMITS.named or chosen.fit_loss <= LIMITS.left**2
     # Several that leave more than the noise may together only come close to something else.
     several_leave_much = search.several and max(left, np.sqrt(chosen.fit_loss)) > LIMITS.left
@@ -147,7 +147,7 @@ def _chosen(search: SearchResult) -> Verdict:
     # What is claimed with a probability need not account for most of a gap.
     if closed > 0:
         return Verdict("partly", (LacksInPart(names, closed, left), *each))
-    if chosen.fit_loss <= LIMITS.at_noise < nominal.fit_loss:
+    if chosen.fit_loss <= level(chosen.path.count) < nominal.fit_loss:
         return Verdict("partly", (FollowsFitRuns(names, closed, left),))
     return Verdict("unknown", (NotMost(names, closed, left), *_nearer(search)))
 
@@ -173,13 +173,6 @@ def _within_a_step(model: Hypothesis, gap: float, counted: np.ndarray) -> bool:
         if squares.mean() > level(squares.size):
             return False
     return True
-
-
-def level(count: int) -> float:
-    """Mean square up to which residuals are noise: what chance makes of it, and how well the noise
-    itself is known.
-    """
-    return 1 + 4 * np.sqrt(2 / max(1, count)) + 0.06
 
 
 def _nearer(search: SearchResult) -> tuple[Reason, ...]:
@@ -214,21 +207,22 @@ def upheld(verdict: Verdict, gaps: Gaps, several: bool = False) -> Verdict:
     if not after < np.inf or np.isnan(retuned):  # a gap that is no number bears nothing out
         return farther
     closed = share_closed(retuned**2, after**2)
-    room = retuned**2 > LIMITS.alike  # beyond what is known of the noise
+    alike = 1 + LIMITS.noise_known
+    room = retuned**2 > alike  # beyond what is known of the noise
     nearer = after < retuned
-    as_near = not room and after**2 <= LIMITS.alike * retuned**2
-    near_noise = retuned <= LIMITS.seen and (nearer or as_near)
+    as_near = not room and after**2 <= alike * retuned**2
+    near_noise = retuned <= LIMITS.near and (nearer or as_near)
     if not near_noise and not after < np.minimum(retuned, before):
         return farther
     if verdict.name != "named":
         return verdict
     if near_noise:
-        if room and closed < LIMITS.partly:
+        if room and closed < LIMITS.half:
             return verdict.unclaimed().but("unknown", LittleOnReport(after, retuned))
         return verdict
     if several and after > LIMITS.left:
         return verdict.but("partly", LeftOnReport(after))
-    if closed < (LIMITS.named if after > LIMITS.left else LIMITS.partly):
+    if closed < (LIMITS.named if after > LIMITS.left else LIMITS.half):
         return verdict.but("partly", PartOnReport(closed))
     return verdict
 
@@ -272,7 +266,7 @@ def standing_still(binding: Binding) -> tuple[str, ...]:
         for e in runs:
             keep = scored(e, split)
             scatter = np.std(e.y[keep][:, outputs], axis=0)
-            moves |= bool(np.any(scatter > LIMITS.still * binding.sigma))
+            moves |= bool(np.any(scatter > LIMITS.two_sigma * binding.sigma))
             moves |= _changes(e.u[keep][:, inputs])
         if runs and not moves:
             out.append(split)
@@ -285,5 +279,5 @@ def _changes(u: np.ndarray) -> bool:
         return False
     from_sample_to_sample = np.std(np.diff(u, axis=0), axis=0) / np.sqrt(2)
     rounding = 1e-12 * np.abs(u).max(0)
-    changes = np.std(u, axis=0) > LIMITS.still * from_sample_to_sample + rounding
+    changes = np.std(u, axis=0) > LIMITS.two_sigma * from_sample_to_sample + rounding
     return bool(np.any(changes))

@@ -78,7 +78,7 @@ def supplied(
     above = sum(
         float(np.sum(m.force[:, joint] ** 2 - np.mean(m.null[:, :, joint] ** 2, 0))) for m in found
     )
-    least = max(LIMITS.own_energy * energy, LIMITS.own_share * above)
+    least = LIMITS.half * max(energy, above)
     return given if energy > 0 and gained >= least else None
 
 
@@ -207,7 +207,7 @@ def _standing_out(
     a large share of the `total`.
     """
     whole = _excess(found, joint, None, given)
-    least = 0.05 * total if given is None else LIMITS.own_regime * whole
+    least = 0.05 * total if given is None else LIMITS.named * whole
     spots = []
 
     def look(lift, regime, inside, floor, part=None):

@@ -94,7 +94,7 @@ class Alone:
         self._asked = out
         good = [h for h in out if self.decider.at_noise(h)]
         least = min(map(joint_loss, good), default=0.0)
-        near = [h for h in good if joint_loss(h) < LIMITS.alike * max(1.0, least)]
+        near = [h for h in good if joint_loss(h) < (1 + LIMITS.noise_known) * max(1.0, least)]
         fewest = min(map(self.numbers, near), default=0)
         few = [h for h in near if self.numbers(h) == fewest]
         told = min(map(self.evidence, few), default=0.0) + LIMITS.decisive  # what is as likely

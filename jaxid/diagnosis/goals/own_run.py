@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jaxid.data.dataset import Experiment
+from jaxid.diagnosis.evidence import level
 from jaxid.diagnosis.goals.changes import changes, StatedDifference
-from jaxid.diagnosis.verdict import level
 from jaxid.dynamics.effect import Effect
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.problem.binding import Binding

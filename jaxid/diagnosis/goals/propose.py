@@ -158,7 +158,7 @@ class LinearisedSearch:
         answer = of_model(self.study, self.rows, self.chooser.nominal)
         joints = range(len(self.study.noise))
         return all(
-            not answer.gap(which, j) > LIMITS.seen
+            not answer.gap(which, j) > LIMITS.near
             for which in (self.fit, self.held)
             for j in joints
         )

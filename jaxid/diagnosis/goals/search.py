@@ -9,14 +9,14 @@ from itertools import chain
 import numpy as np
 
 from jaxid.diagnosis.belief import Belief, EffectFamily
-from jaxid.diagnosis.evidence import held_out, HeldOut, knowledge
+from jaxid.diagnosis.evidence import held_out, HeldOut, knowledge, level
 from jaxid.diagnosis.goals.left_open import left_open
 from jaxid.diagnosis.goals.propose import as_vector, candidates_of, ProposedSets
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
 from jaxid.diagnosis.probability import log_evidence, normalised, RULE
 from jaxid.diagnosis.selection import in_lead, joint_loss
 from jaxid.diagnosis.torque.weigh import LARGEST, TOGETHER
-from jaxid.diagnosis.verdict import judge, level
+from jaxid.diagnosis.verdict import judge
 from jaxid.dynamics.effect import BodyEffect, JointEffect
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import Path
@@ -430,10 +430,14 @@ def _left(h: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
 
 def _absent(b: Binding) -> list[Candidate]:
     """Effects that are part of the model, at each joint where its file has nothing of them."""
+    free = set(b.free)
+    nothing = {i for i in free.intersection(b.nominal) if b.theta[i] == 0.0}
     out = []
-    for effect in (e for e in b.chain.effects if isinstance(e, JointEffect)):
+    for effect in b.chain.effects:
+        if not isinstance(effect, JointEffect):
+            continue
         for place in b.chain.offers(effect):
-            index = tuple(i for i in b.layout.of_effect(effect.name, place) if i in b.free)
-            if index and all(i in b.nominal and b.theta[i] == 0.0 for i in index):
-                out.append(Candidate(effect.name, place, index))
+            index = free.intersection(b.layout.of_effect(effect.name, place))
+            if index and index <= nothing:
+                out.append(Candidate(effect.name, place, tuple(sorted(index))))
     return out

@@ -58,9 +58,9 @@ def verdict_against(
     share = min(closed((b / usual) ** 2, (a / usual) ** 2) for b, a in pairs)
     if not np.isfinite([*was, *left, usual]).all():
         return Verdict("unknown", (NotMostHeldOut(names, 0.0, max(left)),))
-    if not all(a < b for b, a in pairs) or share < LIMITS.partly:
+    if not all(a < b for b, a in pairs) or share < LIMITS.half:
         return Verdict("unknown", (NotMostHeldOut(names, share, max(left)),))
-    fitted = usual if usual > LIMITS.seen else 0.0
+    fitted = usual if usual > LIMITS.near else 0.0
     whole = max(left) <= LIMITS.left * usual
     reason = TorqueHeldOut(names, share, max(left), whole=whole, fitted=fitted, reference=True)
     return Verdict("named" if whole else "partly", (reason,))

@@ -76,9 +76,10 @@ def weighted(
 def memory_of(series: Sequence[np.ndarray]) -> float:
     """1 + 2 sum of the autocorrelation of some series up to the first lag where it is lost."""
     power, found = sum(float(r @ r) for r in series), 1.0
+    lost = LIMITS.two_sigma / np.sqrt(max(1, sum(map(len, series))))
     for lag in range(1, max(map(len, series)) // 3 + 1):
         share = sum(float(r[lag:] @ r[:-lag]) for r in series) / max(power, 1e-300)
-        if share < LIMITS.correlated:
+        if share < lost:
             break
         found += 2 * share
     return found

@@ -184,7 +184,7 @@ def _body(
     with_gains = covariance + gain_std**2 * np.diag(values**2)
 
     def told(variance: float, spread: float) -> bool:
-        return bool(np.sqrt(max(variance, 0.0)) < LIMITS.determined * spread)
+        return bool(np.sqrt(max(variance, 0.0)) < LIMITS.half * spread)
 
     def quantity(value: float, variance: float, unit_: str, sure: bool) -> Estimate:
         std = float(np.sqrt(max(variance, 0.0))) if sure else None

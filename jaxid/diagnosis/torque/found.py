@@ -8,6 +8,7 @@ from itertools import product
 
 import numpy as np
 
+from jaxid.diagnosis.evidence import level
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.against_reference import as_before
 from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Weights
@@ -18,7 +19,6 @@ from jaxid.diagnosis.torque.judged import only_in, scales
 from jaxid.diagnosis.torque.library import units
 from jaxid.diagnosis.torque.study import TorqueRows, TorqueStudy
 from jaxid.diagnosis.torque.weigh import weigh, Weighed
-from jaxid.diagnosis.verdict import level
 
 
 #: So often at most the search is done along the torque that what it found implies.
@@ -119,7 +119,7 @@ def _as_reference(chooser: Chooser, nominal: Answer, split: Sequence[Sequence[in
     joints = range(len(nominal.study.noise))
     gaps = [nominal.gap(which, j) for which, j in product(split, joints)]
     quiet = nominal.gap(split[0]) ** 2 <= level(round(chooser.fit.rows)) + 0.1
-    return near and quiet and not any(gap > LIMITS.seen for gap in gaps)
+    return near and quiet and not any(gap > LIMITS.near for gap in gaps)
 
 
 def _ranked(found: Found) -> None:
@@ -130,7 +130,7 @@ def _ranked(found: Found) -> None:
 
 def differs(found: Found) -> bool:
     inside, outside = found.final.gap(found.fit), found.final.gap(found.choose)
-    return outside > max(LIMITS.different * inside, LIMITS.left)
+    return LIMITS.half * outside > inside and outside > LIMITS.left
 
 
 def difference(study: TorqueStudy, found: Found, most: int) -> Found | None:

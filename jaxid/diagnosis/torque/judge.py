@@ -50,7 +50,7 @@ def judged_by_torque(study: TorqueStudy, found: Found) -> Verdict:
     # Where the question is what differs, what the model leaves of the runs that it was fitted to is
     # what repeats would differ by.
     least = max(1.0, fitted) if found.different and np.isfinite(fitted) else 1.0
-    told = least if least > LIMITS.seen else 0.0
+    told = least if least > LIMITS.near else 0.0
     held = TorqueHeldOut(names, share, worst, found.different, fitted=told)
     inside = closed(fitted**2, final.gap(found.fit) ** 2)
     most = np.isfinite(before).all() and min(share, inside) >= LIMITS.named
@@ -74,7 +74,7 @@ def _nothing_claimed(found: Found) -> Verdict:
     measured = {data: gap for data, gap in gaps.items() if not np.isnan(gap)}  # of what moves
     worst = max(measured, key=lambda data: measured[data], default="report")
     largest = measured.get(worst, float("nan"))
-    if largest <= LIMITS.seen:
+    if largest <= LIMITS.near:
         return Verdict("none", (TorqueAtTheNoise(),))
     return Verdict("unknown", (NothingSure(largest, worst), *_possible(found)))
 
