@@ -23,7 +23,7 @@ from jaxid.dynamics.parameter import constant, param, ParameterSpec
 from jaxid.dynamics.rigid_body import Base, still
 from jaxid.robots import dynamics, free_numbers, rods
 from jaxid.robots.bodies import beyond_ends, BODY, body_of, ten_numbers
-from jaxid.robots.channels import GRAVITY, PLACE, RIDE, signature_of, torque
+from jaxid.robots.channels import goal, GRAVITY, PLACE, RIDE, signature_of, torque
 from jaxid.robots.coupled import carried, Coupled, coupled, gathered
 from jaxid.robots.file_step import FIELDS as SOFT
 from jaxid.robots.floating import balanced, based, without_slides
@@ -379,6 +379,14 @@ class Robot(Yielding):
     def behind_law(self, effect: Any) -> bool:
         """Whether an effect acts on the torque where a goal drives; the others act on the goal."""
         return self.drive_law is not None and effect.acts_on == "drive"
+
+    @property
+    def idle(self):
+        if self.drive_law is None:
+            return frozenset()
+        names = self.signatures[0].joints
+        still = [names[k] for k in self.drive_law.undriven]
+        return frozenset((*map(goal, still), *map(torque, still)))
 
     def places(self, effect: Any, signature: Signature) -> tuple[str, ...]:
         if self.behind_law(effect):

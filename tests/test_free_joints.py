@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid.dynamics import catalogue
 from jaxid.models import Robot
 from jaxid.problem.binding import bind
 
@@ -66,6 +67,19 @@ def test_a_joint_without_an_actuator_moves_freely():
     assert binding.theta[names.index("kp@swing")] == 0
     assert names.index("kp@swing") not in binding.free
     assert any("swing" in note and "moves freely" in note for note in binding.dataset.notes)
+
+
+@pytest.mark.parametrize(
+    ("effect", "places"),
+    [
+        ("input_delay", ("along_cmd",)),
+        ("torque_scale", ("along_tau",)),
+        ("coulomb_friction", ("along", "swing")),
+    ],
+)
+def test_nothing_on_the_way_of_a_command_is_asked_where_nothing_is_driven(effect, places):
+    chain = bind(robot(), recorded(0.0, seconds=2.0)).chain
+    assert chain.offers(catalogue.effect_class(effect, chain.mechanism)) == places
 
 
 def test_a_joint_that_the_file_drives_needs_its_goal():

@@ -139,11 +139,15 @@ class Chain(eqx.Module):
         """Those of its places where an effect makes sense in this model: its candidates in a
         diagnosis.
         """
+        places = self.places(effect)
         if self.mechanism.behind_law(effect):
-            return self.places(effect)[: self.nq]
-        if effect.offered is None:
-            return self.places(effect)
-        return effect.offered(self.mechanism, self.signature)
+            places = places[: self.nq]
+        elif effect.offered is not None:
+            places = effect.offered(self.mechanism, self.signature)
+        if effect.location != "input":
+            return places
+        idle = self.mechanism.idle
+        return tuple(place for place in places if place not in idle)
 
     @property
     def contents(self) -> set[str]:

@@ -203,6 +203,11 @@ class Mechanism(eqx.Module):
         """
         return False
 
+    @property
+    def idle(self) -> frozenset[str]:
+        """Names of commands and torques that do nothing: those of joints without a drive."""
+        return frozenset()
+
     def told_by_torque(
         self, q: Float[np.ndarray, "time nq"], beside: int
     ) -> Bool[np.ndarray, " time"]:

@@ -95,6 +95,12 @@ class DriveLaw:
         return "delay" in self.fit or any(self.delay)
 
     @property
+    def undriven(self) -> tuple[int, ...]:
+        """Joints at which it does nothing."""
+        gains = np.abs([self.kp, self.kd, self.ki]).sum(0)
+        return tuple(np.flatnonzero(gains == 0).tolist())
+
+    @property
     def nameless(self) -> DriveLaw:
         """The law without numbers and names: those are told to a program."""
         none: tuple[float, ...] = ()

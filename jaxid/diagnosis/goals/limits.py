@@ -36,7 +36,7 @@ def limits_shown(study: Any) -> list[Unit]:
 def _shown(study: Any, kind: type[Effect]) -> list[tuple[float, Unit]]:
     b, plant = study.binding, study.plant
     n, drive = b.chain.nq, Drive(plant, [kind])
-    base, places = drive.theta(b.theta), b.chain.offers(kind)[:n]
+    base, places = drive.theta(b.theta), b.chain.places(kind)[:n]
     known = [plant.balance(run, b.theta) for run in study.runs]
 
     def torque(theta):

@@ -334,7 +334,7 @@ class LedStudy(TorqueStudy):
         drive = Drive(self.plant, [kind])
         base = drive.theta(theta)
         before = [drive.torque(r, o, base) for r, o in zip(self.free, self.other, strict=True)]
-        places = b.chain.offers(kind)[:n]
+        places = b.chain.places(kind)[:n]
         levels = (
             np.max([np.quantile(np.abs(x), LEVELS, axis=0) for x in before], 0)
             if is_level(kind)

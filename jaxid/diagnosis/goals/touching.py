@@ -295,7 +295,8 @@ def _of_effects(
     """Each effect at each place, and at all of them at once, at its probes in some sizes."""
     for kind in kinds:
         places = wide.chain.offers(kind)
-        each = [_at_place(wide, kind, k, place, stated, sizes) for k, place in enumerate(places)]
+        at = wide.chain.places(kind).index
+        each = [_at_place(wide, kind, at(place), place, stated, sizes) for place in places]
         for trials in each:
             yield from trials
         if len(places) > 1:
