@@ -168,11 +168,19 @@ def test_at_the_noise_only_what_acts_in_the_place_of_what_is_named_is_left():
         none=0.0,
         rivals={tilt: 0.498, load: 0.02},
     )
-    found = columns.at_the_noise({bias})
+    found = columns.at_the_noise({bias}, [bias])
     assert found.places == {bias: 0.501, tilt: 0.498, load: 0.02}
     assert found.free_law is None and found.none == 0.0
-    nothing = Belief({load: 0.999}, none=0.001).at_the_noise({})
+    nothing = Belief({load: 0.999}, none=0.001).at_the_noise({}, [])
     assert nothing.places == {} and nothing.none == 1.0
+
+
+def test_what_acts_in_the_place_of_what_is_sure_is_as_improbable_as_that_is_sure():
+    """Columns of a loose arm gave a load at one link 0.99998, and 0.18 to one in its place."""
+    load, instead = ("payload", "j3"), ("payload", "j2")
+    columns = Belief({load: 0.99998, instead: 0.18}, 0.99998, none=0.0, rivals={instead: 0.18})
+    found = columns.at_the_noise({load}, [load])
+    assert found.places[instead] == pytest.approx(2e-5)
 
 
 def test_what_was_asked_again_beside_more_is_told_anew():

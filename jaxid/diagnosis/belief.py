@@ -132,13 +132,17 @@ class Belief:
         places = {place: min(p, judged.get(place, p)) for place, p in self.places.items()}
         return replace(self, places=places)
 
-    def at_the_noise(self, simulated: Container[tuple[str, str]]) -> Belief:
-        """Where what is named leaves the noise: nothing is left that effects beside it could
-        explain. Of those that were not simulated there may be what acts in its place.
+    def at_the_noise(
+        self, simulated: Container[tuple[str, str]], named: Sequence[tuple[str, str]]
+    ) -> Belief:
+        """Where what is `named` leaves the noise: nothing is left that effects beside it could
+        explain. Of those that were not simulated there may be what acts in its place, where that
+        is not there itself.
         """
         places = {place: p for place, p in self.places.items() if place in simulated}
+        room = 1.0 - product([self.places.get(place, 1.0) for place in named])
         for place, p in self.rivals.items():
-            places.setdefault(place, min(p, self.places.get(place, p)))
+            places.setdefault(place, min(p, self.places.get(place, p), room))
         none = 0.0 if places and self.probability is not None else 1.0
         return replace(self, places=places, free_law=None, none=none)
 

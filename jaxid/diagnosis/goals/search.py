@@ -269,7 +269,8 @@ class Decider:
         """
         if search.belief is None or not self.at_noise(search.chosen):
             return search
-        belief = search.belief.at_the_noise(self.sure)
+        named = [(c.effect, c.location) for c in search.chosen.effects]
+        belief = search.belief.at_the_noise(self.sure, named)
         possible = {place[:2] for place in belief.possible(RULE.possible)}
         for family in belief.families:
             possible |= set(family.places)
