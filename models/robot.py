@@ -23,13 +23,13 @@ from jaxid.dynamics.parameter import constant, param, ParameterSpec
 from jaxid.dynamics.rigid_body import Base, still
 from jaxid.robots import dynamics, free_numbers, rods
 from jaxid.robots.bodies import beyond_ends, BODY, body_of, ten_numbers
-from jaxid.robots.channels import goal, GRAVITY, PLACE, RIDE, signature_of, torque
+from jaxid.robots.channels import GRAVITY, PLACE, RIDE, signature_of
 from jaxid.robots.coupled import carried, Coupled, coupled, gathered
+from jaxid.robots.driven import Driven
 from jaxid.robots.file_step import FIELDS as SOFT
 from jaxid.robots.floating import balanced, based, without_slides
 from jaxid.robots.ground import friction_of, Ground, nameless_of, pose_of
 from jaxid.robots.tree import roll_pitch_yaw, StaticTree, Tree, up_to
-from jaxid.robots.yielding import Yielding
 
 from .effects import ActuatorLag, CoulombFriction, InputDelay, QuadraticDrag, ViscousFriction
 from .effects.body import PlacedPayload
@@ -39,7 +39,7 @@ from .robot_drive import PositionLaw, SampledLag
 plan_of = lru_cache(dynamics.plan)
 
 
-class Robot(Yielding):
+class Robot(Driven):
     """A robot from its file: `Robot.from_mjcf("robot.xml")`, `Robot.from_urdf("robot.urdf")`.
 
     Numbers go by the names of joints and links: armature@JOINT, damping@JOINT, frictionloss@JOINT,
@@ -180,7 +180,6 @@ class Robot(Yielding):
     floats: bool = eqx.field(
         static=True, default=False
     )  # on a free base: see `jaxid.robots.floating`
-    drive_law: Any = eqx.field(static=True, default=None)
     rides: bool = eqx.field(
         static=True, default=False
     )  # whether the last inputs are the motion of the base
@@ -375,23 +374,6 @@ class Robot(Yielding):
                 **dict.fromkeys((ActuatorLag, SampledLag), {"lag": np.array(law.lag)}),
             }
         return [kind(**numbers[kind]) for kind, _ in self.builtin]
-
-    def behind_law(self, effect: Any) -> bool:
-        """Whether an effect acts on the torque where a goal drives; the others act on the goal."""
-        return self.drive_law is not None and effect.acts_on == "drive"
-
-    @property
-    def idle(self):
-        if self.drive_law is None:
-            return frozenset()
-        names = self.signatures[0].joints
-        still = [names[k] for k in self.drive_law.undriven]
-        return frozenset((*map(goal, still), *map(torque, still)))
-
-    def places(self, effect: Any, signature: Signature) -> tuple[str, ...]:
-        if self.behind_law(effect):
-            return tuple(map(torque, signature.joints))
-        return super().places(effect, signature)
 
     def number_name(self, field: str, place: int) -> str:
         if field == "gravity":

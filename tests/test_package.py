@@ -206,7 +206,7 @@ LONG = {
     "jaxid/diagnosis/goals/study.py": 505,
     "jaxid/dynamics/chain.py": 530,
     "jaxid/study/papers/flexible_link.py": 553,
-    "models/robot.py": 577,
+    "models/robot.py": 567,
 }
 
 

@@ -144,10 +144,7 @@ class Chain(eqx.Module):
             places = places[: self.nq]
         elif effect.offered is not None:
             places = effect.offered(self.mechanism, self.signature)
-        if effect.location != "input":
-            return places
-        idle = self.mechanism.idle
-        return tuple(place for place in places if place not in idle)
+        return tuple(place for place in places if place not in self.mechanism.idle)
 
     @property
     def contents(self) -> set[str]:
