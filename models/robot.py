@@ -25,9 +25,9 @@ from jaxid.robots import dynamics, free_numbers, rods
 from jaxid.robots.bodies import beyond_ends, BODY, body_of, ten_numbers
 from jaxid.robots.channels import GRAVITY, PLACE, RIDE, signature_of
 from jaxid.robots.coupled import carried, Coupled, coupled, gathered
-from jaxid.robots.driven import Driven
 from jaxid.robots.file_step import FIELDS as SOFT
 from jaxid.robots.floating import balanced, based, without_slides
+from jaxid.robots.goal_driven import GoalDriven
 from jaxid.robots.ground import friction_of, Ground, nameless_of, pose_of
 from jaxid.robots.tree import roll_pitch_yaw, StaticTree, Tree, up_to
 
@@ -39,7 +39,7 @@ from .robot_drive import PositionLaw, SampledLag
 plan_of = lru_cache(dynamics.plan)
 
 
-class Robot(Driven):
+class Robot(GoalDriven):
     """A robot from its file: `Robot.from_mjcf("robot.xml")`, `Robot.from_urdf("robot.urdf")`.
 
     Numbers go by the names of joints and links: armature@JOINT, damping@JOINT, frictionloss@JOINT,

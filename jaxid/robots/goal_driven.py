@@ -11,7 +11,7 @@ from jaxid.robots.channels import goal, torque
 from jaxid.robots.yielding import Yielding
 
 
-class Driven(Yielding):
+class GoalDriven(Yielding):
     """Abstract: joints that torques drive, or goals through `drive_law`."""
 
     drive_law: Any = eqx.field(static=True, default=None)  # a `jaxid.robots.drives.DriveLaw`
