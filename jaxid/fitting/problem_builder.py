@@ -13,7 +13,7 @@ from jaxid.fitting.least_squares import levenberg_marquardt, Path
 from jaxid.fitting.scale_free import shrinking
 from jaxid.fitting.secant import residuals
 from jaxid.fitting.wide_slopes import descend_widely, is_noise
-from jaxid.problem.beginnings import NESTED
+from jaxid.problem.beginnings import TOUCHING
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
 from jaxid.problem.momentum import told_by
@@ -374,7 +374,7 @@ def descend_over_stretches(
     runs = bench.runs(OutputError(), split)
     starts, path, spent = None, None, 0
     starts_alone, lost = not len(free), False
-    for level in reversed(range(len(NESTED))):
+    for level in reversed(range(len(TOUCHING))):
         stretches = [runs.heads[run][level] for run in which]
         if level == 0:
             stretches = [runs.records[run] for run in which]

@@ -14,6 +14,9 @@ from jaxid.simulation.sample_buffers import Record
 RUN_UP_S, RUN_UP_SAMPLES = 1.0, 500
 #: Stretches of a run are these shares of the longest one.
 NESTED = (1, 2, 4, 8, 16)
+#: Those of a run that touches: where it next touches depends on how well its first moments are
+#: followed.
+TOUCHING = (*NESTED, 32, 64)
 
 
 def run_up(e: Experiment) -> int:
@@ -58,7 +61,7 @@ def nested_heads(
     """
     cut, begin = len(e) - len(own), run_up(own)
     if touches:
-        return [part(begin, cut + max(6, len(own) // k), cut) for k in NESTED]
+        return [part(begin, cut + max(6, len(own) // k), cut) for k in TOUCHING]
     # by then sensors and springs have forgotten how they began
     settled = begin + (cut - begin) // 4
     n = cut + head_samples(own) - settled

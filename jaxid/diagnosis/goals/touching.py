@@ -25,7 +25,7 @@ from jaxid.dynamics.parameter import specs
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.fitting.secant import simulated
 from jaxid.fitting.wide_slopes import WideDescent
-from jaxid.problem.beginnings import NESTED
+from jaxid.problem.beginnings import TOUCHING
 from jaxid.problem.binding import Binding
 from jaxid.problem.residual import OutputError
 from jaxid.simulation.sample_buffers import step_count
@@ -45,7 +45,7 @@ LOOKED_AT = 16
 #: A change that leaves this many times as much as the best one is not what explains the runs.
 FAR = 10.0
 #: Which of the nested stretches of a run is its first half.
-HALF = NESTED.index(2)
+HALF = TOUCHING.index(2)
 #: Simulations whose runs are kept at a time.
 AT_ONCE = 256
 #: Steps of all runs beyond which every effect is not simulated: minutes.
