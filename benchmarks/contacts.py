@@ -242,7 +242,7 @@ def drawn(twin: Twin, case: str, seed: int) -> Truth:
         own["torso"] = round(own["torso"] * (1.1 + 0.2 * share), 3)
         load = own["torso"] - twin.stated["torso"]
         of_torso = tuple(j for j in twin.joints if j not in twin.driven)
-        return Truth(own, 0.0, "mass", ("torso",), own["torso"], load, of_torso)
+        return Truth(own, 0.0, "mass", ("torso",), own["torso"], load=load, carried_by=of_torso)
     if case == "motor":
         own["motor"] = round(own["motor"] * (0.7 + 0.2 * share), 2)
         return Truth(own, 0.0, "kp", (twin.weak,), own["motor"])
@@ -333,8 +333,8 @@ def judged(truth: Truth, answer: dict[str, Any]) -> str:
         called, places, value = "payload", truth.carried_by, truth.load
     if set(found) != ({called} if called else set()):
         return "wrong"
-    for place, told_value in found.get(called, {}).items():
-        if place not in places or abs(told_value / value - 1) > 0.1:
+    for place, found_there in found.get(called, {}).items():
+        if place not in places or abs(found_there / value - 1) > 0.1:
             return "wrong"
     return "right"
 
@@ -404,8 +404,8 @@ def told(row: dict[str, Any]) -> str:
     """What one row found, in a cell."""
     if row["by"] == "mujoco.sysid":
         moved = {name: share for name, share in row["shares"].items() if abs(share - 1) > 0.02}
-        told = ", ".join(f"{name} x {share:.3g}" for name, share in moved.items())
-        return f"{told or 'nothing'}; {row['left']:.3g} times the noise left"
+        shares = ", ".join(f"{name} x {share:.3g}" for name, share in moved.items())
+        return f"{shares or 'nothing'}; {row['left']:.3g} times the noise left"
     named = []
     for name, places in row["found"].items():
         values = sorted(places.values())

@@ -93,8 +93,9 @@ def test_verdicts_hold_on_report_data(verdict, before, retuned, after, several):
     found, words = held.name, held.text
     check_numbers(words)
     if found in ("named", "partly"):
-        alike = 1 + LIMITS.noise_known
-        at_noise = retuned <= LIMITS.near and after**2 <= alike * max(alike, retuned**2)
+        at_noise = retuned <= LIMITS.near and after**2 <= LIMITS.alike * max(
+            LIMITS.alike, retuned**2
+        )
         assert after < min(before, retuned) or at_noise
     else:
         assert "not claimed" in words and wording.times(after) in words

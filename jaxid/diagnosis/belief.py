@@ -116,8 +116,7 @@ class Belief:
         when less stood is no longer so. What may act in the place of those that stand still may.
         """
         kept = {place: p for place, p in self.places.items() if place in standing}
-        for place, p in self.rivals.items():
-            kept.setdefault(place, min(p, self.places.get(place, p)))
+        kept |= self._in_its_place(kept)
         for place, p in more.places.items():
             kept[place] = p if place in standing else max(p, kept.get(place, 0.0))
         return replace(self, places=kept, free_law=more.free_law)
@@ -141,10 +140,19 @@ class Belief:
         """
         places = {place: p for place, p in self.places.items() if place in simulated}
         room = 1.0 - product([self.places.get(place, 1.0) for place in named])
-        for place, p in self.rivals.items():
-            places.setdefault(place, min(p, self.places.get(place, p), room))
+        places |= self._in_its_place(places, room)
         none = 0.0 if places and self.probability is not None else 1.0
         return replace(self, places=places, free_law=None, none=none)
+
+    def _in_its_place(
+        self, told: Container[tuple[str, str]], most: float = 1.0
+    ) -> dict[tuple[str, str], float]:
+        """How probable at most each rival is of what stands, but for those that are told."""
+        return {
+            place: min(p, self.places.get(place, p), most)
+            for place, p in self.rivals.items()
+            if place not in told
+        }
 
     def of_a_gap(self) -> Belief:
         """Where the verdict is that something is missing. The sets that were compared may hold

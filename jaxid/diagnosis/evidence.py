@@ -13,7 +13,7 @@ from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.least_squares import levenberg_marquardt, Path
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder, touches
 from jaxid.fitting.scores import scored
-from jaxid.fitting.wide_slopes import descend_widely
+from jaxid.fitting.wide_slopes import CHANCE, descend_widely
 from jaxid.problem.problem import FitProblem, NumberPrior, rows
 from jaxid.problem.residual import OutputError, Residual
 
@@ -265,7 +265,7 @@ def level(count: int) -> float:
     """Mean square up to which residuals are noise: what chance makes of it, and how well the noise
     itself is known.
     """
-    return 1 + 4 * np.sqrt(2 / max(1, count)) + LIMITS.noise_known
+    return 1 + CHANCE * np.sqrt(2 / max(1, count)) + LIMITS.noise_known
 
 
 def memory(series: Sequence[np.ndarray]) -> int:

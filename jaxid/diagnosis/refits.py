@@ -169,7 +169,7 @@ class Refits:
         (end,) = levenberg_marquardt([(problem, _z(problem, richer, theta))], *THOROUGH)
         (freed,) = self.hypotheses([(h.effects, end)])
         share = joint_loss(freed) / joint_loss(h)
-        no_use = quiet and share * (1 + LIMITS.noise_known) < 1 and not leads_on(freed, richer)
+        no_use = quiet and share * LIMITS.alike < 1 and not leads_on(freed, richer)
         if share > LIMITS.half and not no_use:
             return h
         self.known[key_of(h.effects)] = freed
@@ -302,7 +302,7 @@ class Refits:
         held = h.validation
         if held.theta is not None:
             return held.theta
-        left_open = held.gap**2 > (1 + LIMITS.noise_known) * held.loss
+        left_open = held.gap**2 > LIMITS.alike * held.loss
         if not left_open or not self.residual.free_run:
             return None
         quick = self.benches[0]
@@ -321,7 +321,7 @@ def _far_ahead(h: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
 
 def _as_near(other: Hypothesis, h: Hypothesis) -> bool:
     """Whether it leaves as much of validation runs, as well as the noise is known."""
-    return other.validation.loss < h.validation.loss * (1 + LIMITS.noise_known)
+    return other.validation.loss < h.validation.loss * LIMITS.alike
 
 
 def _z(problem: FitProblem, h: Hypothesis, theta: np.ndarray | None = None) -> np.ndarray:

@@ -65,7 +65,7 @@ class Thresholds:
     noise_known: float = _of(
         0.06,
         "share of the noise's mean square",
-        "How well the noise itself is known: what leaves so much more leaves as much.",
+        "How well the noise itself is known: what leaves so much more leaves as much (`alike`).",
         "noise read off 34 blind recordings: 0.93 to 1.07 of the true mean square in 95 % of them",
     )
     near: float = _of(
@@ -85,9 +85,10 @@ class Thresholds:
     )
     far: float = _of(
         10.0,
-        "times the noise, or what another leaves",
-        "What leaves more is far away: it is not descended to the end yet and may be in a local"
-        " minimum; free runs that leave so much are not trusted.",
+        "times",
+        "What leaves more is far away. Of a mean square over that of the noise or of another model:"
+        " it is not descended to the end yet, may be in a local minimum, and is not what explains"
+        " the runs. Of a gap, times the noise: free runs that leave so much are not trusted.",
         "planar arms that swing over the top",
     )
     # shares
@@ -136,6 +137,11 @@ class Thresholds:
     def decisive(self) -> float:
         """A difference of held-out evidence below this many chi-square units decides nothing."""
         return self.three_sigma**2
+
+    @property
+    def alike(self) -> float:
+        """What leaves less than this many times as much leaves as much (mean squares)."""
+        return 1 + self.noise_known
 
     def table(self) -> list[tuple[str, float, str, str, str]]:
         """Name, value, unit, reason and case of each."""

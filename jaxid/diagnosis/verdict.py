@@ -207,10 +207,9 @@ def upheld(verdict: Verdict, gaps: Gaps, several: bool = False) -> Verdict:
     if not after < np.inf or np.isnan(retuned):  # a gap that is no number bears nothing out
         return farther
     closed = share_closed(retuned**2, after**2)
-    alike = 1 + LIMITS.noise_known
-    room = retuned**2 > alike  # beyond what is known of the noise
+    room = retuned**2 > LIMITS.alike  # beyond what is known of the noise
     nearer = after < retuned
-    as_near = not room and after**2 <= alike * retuned**2
+    as_near = not room and after**2 <= LIMITS.alike * retuned**2
     near_noise = retuned <= LIMITS.near and (nearer or as_near)
     if not near_noise and not after < np.minimum(retuned, before):
         return farther

@@ -139,12 +139,12 @@ class Chain(eqx.Module):
         """Those of its places where an effect makes sense in this model: its candidates in a
         diagnosis.
         """
-        places = self.places(effect)
+        idle, places = self.mechanism.idle, self.places(effect)
         if self.mechanism.behind_law(effect):
             places = places[: self.nq]
         elif effect.offered is not None:
             places = effect.offered(self.mechanism, self.signature)
-        return tuple(place for place in places if place not in self.mechanism.idle)
+        return tuple(place for place in places if place not in idle)
 
     @property
     def contents(self) -> set[str]:

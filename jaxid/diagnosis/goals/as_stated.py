@@ -21,7 +21,6 @@ from jaxid.diagnosis.goals.own_run import FileRun
 from jaxid.diagnosis.goals.propose import as_vector, candidates_of, Proposal
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.single_changes import belief_of
-from jaxid.diagnosis.goals.touching import FAR
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
 from jaxid.diagnosis.selection import indistinct, joint_loss
 from jaxid.diagnosis.thresholds import LIMITS
@@ -82,7 +81,7 @@ class Alone:
             h = self.decider.refit(own, theta, self.stands.path)
             out.append(h)
             if self.decider.at_noise(h):
-                self.decider.most = FAR
+                self.decider.most = LIMITS.far
             if not change.index and joint_loss(h) < least_left:
                 self.nearest, least_left = change, joint_loss(h)
         self.decider.most = np.inf
@@ -94,7 +93,7 @@ class Alone:
         self._asked = out
         good = [h for h in out if self.decider.at_noise(h)]
         least = min(map(joint_loss, good), default=0.0)
-        near = [h for h in good if joint_loss(h) < (1 + LIMITS.noise_known) * max(1.0, least)]
+        near = [h for h in good if joint_loss(h) < LIMITS.alike * max(1.0, least)]
         fewest = min(map(self.numbers, near), default=0)
         few = [h for h in near if self.numbers(h) == fewest]
         told = min(map(self.evidence, few), default=0.0) + LIMITS.decisive  # what is as likely

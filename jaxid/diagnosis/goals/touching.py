@@ -19,6 +19,7 @@ from jaxid.diagnosis.goals.gains import held_gains, known_loosely, with_room
 from jaxid.diagnosis.goals.probes import is_level, probes_of
 from jaxid.diagnosis.goals.propose import Proposal
 from jaxid.diagnosis.hypothesis import Hypothesis
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.library import Unit
 from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.parameter import specs
@@ -42,8 +43,6 @@ AIMED_AT = 32
 NEARBY = (0.35, 0.5, 0.7, 0.85, 1.2, 1.5, 2.0, 3.0)
 #: Changes whose sizes are tried more closely.
 LOOKED_AT = 16
-#: A change that leaves this many times as much as the best one is not what explains the runs.
-FAR = 10.0
 #: Which of the nested stretches of a run is its first half.
 HALF = TOUCHING.index(2)
 #: Simulations whose runs are kept at a time.
@@ -120,7 +119,7 @@ def _nearest_effects(
 def _not_far(found: Sequence[tuple[float, Trial]]) -> list[Trial]:
     """Least left first, none that leaves far more than the best."""
     ordered = sorted(found, key=lambda pair: pair[0])
-    return [trial for cost, trial in ordered if cost <= FAR * ordered[0][0]]
+    return [trial for cost, trial in ordered if cost <= LIMITS.far * ordered[0][0]]
 
 
 def simulated_effects(
