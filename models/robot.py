@@ -25,7 +25,7 @@ from jaxid.robots import dynamics, free_numbers, rods
 from jaxid.robots.bodies import beyond_ends, BODY, body_of, ten_numbers
 from jaxid.robots.channels import GRAVITY, PLACE, RIDE, signature_of
 from jaxid.robots.coupled import carried, Coupled, coupled, gathered
-from jaxid.robots.file_step import FIELDS as SOFT
+from jaxid.robots.file_step import asked_of, FIELDS as SOFT
 from jaxid.robots.floating import balanced, based, without_slides
 from jaxid.robots.goal_driven import GoalDriven
 from jaxid.robots.ground import friction_of, Ground, nameless_of, pose_of
@@ -229,7 +229,7 @@ class Robot(GoalDriven):
             "gravity": np.array(tree.gravity, np.float64),
             **{f"base_{k}": np.float64(0.0) for k in PLACE[3:]},
         }
-        step = tree.simulator if simulator == "mujoco" and not tree.floats else None
+        step = None if tree.floats else asked_of(simulator, tree.simulator)
         self.integrator = "" if step is None else step.integrator
         soft = dict.fromkeys(SOFT, np.float64(0.0)) if step is None else step.of(leading)
         for name, value in (numbers | soft).items():
@@ -277,13 +277,11 @@ class Robot(GoalDriven):
 
     def driven_by(self, law: Any) -> Robot:
         """The same driven by goals through a law (a `jaxid.robots.drives.DriveLaw`)."""
-        simulator = "mujoco" if self.integrator else "own"
-        return type(self)(
-            self.tree.tree, law=law, rides=self.rides, simulator=simulator, ground=self.ground
-        )
+        tree, simulator = self.tree.tree, self.simulator
+        return type(self)(tree, law=law, rides=self.rides, simulator=simulator, ground=self.ground)
 
     def stepped(self, simulator: str) -> Robot:
-        """The same by jaxid's own steps ("own"), or by those of its file ("mujoco")."""
+        """The same by jaxid's steps ("own"), its file's ("mujoco") or exact ones ("mujoco_rk4")."""
         driven = self.drive_law is not None
         return type(self)(self.tree.tree, driven, self.drive_law, self.rides, simulator)
 

@@ -11,10 +11,10 @@ import pytest
 
 import jaxid
 from jaxid.data.dataset import ModelSpec
-from jaxid.diagnosis.goals.gains import known_loosely, with_room
-from jaxid.diagnosis.goals.hold import goes_the_other_way
+from jaxid.diagnosis.goals.asked import GoalsQuestion
 from jaxid.diagnosis.goals.own_run import run_of_file, stepped_changes
 from jaxid.diagnosis.goals.search import Decider
+from jaxid.diagnosis.goals.settings import HOLD, SimulationSetting, STEPS
 from jaxid.diagnosis.hypothesis import SearchResult
 from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.problem_builder import ProblemBuilder
@@ -55,7 +55,7 @@ def recorded(text: str, u: np.ndarray, every: int = EVERY) -> np.ndarray:
     data, out = mujoco.MjData(model), []
     n = int(model.actuator_history[0, 0])
     if n:
-        before = np.arange(-n, 0) * STEP
+        before = np.arange(-n, 0) * model.opt.timestep
         mujoco.mj_initCtrlHistory(model, data, 0, before, np.zeros((n, 1)))
     for goal in u:
         out.append(float(data.qpos[0]))
@@ -127,25 +127,28 @@ def test_its_steps_are_not_divided_further(robot):
 
 def test_a_result_says_whose_steps_were_taken(robot, tmp_path: Path):
     u = goals(0.5)
-    for simulator, said in (("own", {"kind": "own"}), ("mujoco", {"kind": "mujoco"})):
+    steps = {"own": "", "mujoco": "IMPLICITFAST", "mujoco_rk4": "RK4"}
+    for simulator, integrator in steps.items():
         data = dataset(u, u, simulator)
         found = origin(resolve_model(robot, data).mechanism, None)["simulator"]
-        assert said.items() <= found.items()
+        assert (found["kind"], found.get("integrator", "")) == (simulator, integrator)
+        assert found.get("timestep", STEP) == STEP
         folder = tmp_path / simulator
         jaxid.save_dataset(data, folder)
         again = jaxid.load_dataset(folder).model
         assert again is not None and again.simulator == simulator
-    assert (found["timestep"], found["integrator"]) == (STEP, "IMPLICITFAST")
 
 
 def test_a_number_of_the_files_own_simulator_is_written_as_it_is(robot):
-    def exported(simulator: str) -> float:
+    """That of a machine that takes no steps is written as they make it."""
+
+    def exported(simulator: str, in_steps: dict[str, float] | None = None) -> float:
         found = ExportOutcome(
             kind="fit",
             model="robot",
             parameters={"armature@lift": Number(0.08, 0.001)},
             effects=(),
-            robot={"simulator": {"kind": simulator}},
+            robot={"simulator": {"kind": simulator, "numbers": in_steps or {}}},
         )
         numbers: Any = SimpleNamespace(damping=0.4, kd=2.0, armature=0.05)
         sheet: Any = SimpleNamespace(tree=robot.tree.tree, before={"lift": numbers})
@@ -153,10 +156,12 @@ def test_a_number_of_the_files_own_simulator_is_written_as_it_is(robot):
 
     assert exported("mujoco") == 0.08
     assert exported("own") < 0.08
+    assert exported("mujoco_rk4") == exported("own")
+    assert exported("mujoco_rk4", {"armature@lift": 0.07}) == 0.07
 
 
 def test_a_result_that_is_read_again_says_whose_steps_were_taken():
-    for kind in ("own", "mujoco"):
+    for kind in ("own", "mujoco", "mujoco_rk4"):
         assert robot_entry({"simulator": {"kind": kind}})["simulator"] == {"kind": kind}
     assert robot_entry({"file": "arm.xml"})["simulator"] == {"kind": "own"}
 
@@ -210,12 +215,39 @@ def test_goals_go_the_other_way_where_a_claim_is_borne_out(robot, frictionloss):
         "held": recorded(text, u) + noise,
         "along straight lines": recorded(text, fine, 1)[::EVERY] + noise,
     }
-    found = {}
-    for way, q in said.items():
-        binding = known_loosely(with_room(bind(robot, dataset(u, q))))
-        decider = Decider(
-            ProblemBuilder(binding, differences=1, together=True), binding.layout.names
-        )
-        nominal = decider.refit((), binding.theta)
-        found[way] = goes_the_other_way(decider, SearchResult(nominal, nominal))
+    found = {way: is_so(HOLD, robot, dataset(u, q)) for way, q in said.items()}
     assert found == {"held": False, "along straight lines": True}
+
+
+def is_so(setting: SimulationSetting, robot: Robot, data: jaxid.Dataset) -> bool:
+    """Whether a setting is otherwise than stated, beside the re-tuned model."""
+    ask = GoalsQuestion(
+        model=robot,
+        dataset=data,
+        without=(),
+        kinds=(),
+        max_effects=1,
+        step=STEP,
+        answer=lambda *_: pytest.fail("no search is asked here"),
+        progress=None,
+    )
+    binding = ask.known()
+    decider = Decider(ask.made(binding), binding.layout.names)
+    nominal = decider.refit((), binding.theta)
+    return setting.is_so(ask, decider, SearchResult(nominal, nominal))
+
+
+@pytest.mark.parametrize("frictionloss", [0.5, 1.0])
+def test_a_machine_takes_no_steps_where_a_claim_is_borne_out(robot, frictionloss):
+    """A recording of the file's own simulator, and one in steps of a twentieth."""
+    text = FILE.replace('frictionloss="0.5"', f'frictionloss="{frictionloss}"')
+    fine = text.replace(f'timestep="{STEP}"', f'timestep="{STEP / 20}"').replace(
+        'nsample="7"', 'nsample="121"'
+    )
+    u = goals(1.5)
+    noise = 1e-4 * np.random.default_rng(6).standard_normal(len(u))
+    in_steps = recorded(text, u) + noise
+    in_none = recorded(fine, u, 20 * EVERY) + noise
+    assert not is_so(STEPS, robot, dataset(u, in_steps, None))
+    assert is_so(STEPS, robot, dataset(u, in_none, None))
+    assert not is_so(STEPS, robot, dataset(u, in_none))  # steps that are stated stay

@@ -69,7 +69,8 @@ class ModelSpec:
     `serial_arm` or a robot, whose `base` is fixed or prescribed; `joints`: channel of a position ->
     the name of its joint. `file` is the path of a model of the user's own, with its class where it
     was named (`/data/osc/duffing.py:Duffing`). `trust` says how far stated numbers may be off: see
-    `jaxid.problem.trust`. `simulator` says whose steps a robot of a file takes: "own", or "mujoco".
+    `jaxid.problem.trust`. `simulator` says whose steps a robot of a file takes: "own", "mujoco" or
+    "mujoco_rk4".
     `contacts`: whether shapes of its file that touch count as contacts of the machine; true has
     them simulated.
     """

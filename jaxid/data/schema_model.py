@@ -103,7 +103,7 @@ class ModelEntry(Strict):
     base: BaseEntry | None = None
     joints: dict[str, str] = {}
     trust: Literal["exact", "measured", "loose"] | None = None
-    simulator: Literal["own", "mujoco"] | None = None
+    simulator: Literal["own", "mujoco", "mujoco_rk4"] | None = None
     contacts: bool | None = None
 
     @field_validator("joints")

@@ -193,6 +193,13 @@ class Mechanism(eqx.Module):
         return None
 
     @property
+    def rough_steps(self) -> Any:
+        """Steps of first order that its simulator is told to take (`jaxid.robots.steps.Steps`): no
+        machine takes them. None where steps leave nothing behind.
+        """
+        return None
+
+    @property
     def of_one_joint(self) -> frozenset[str]:
         """Fields whose numbers act each at its own joint alone."""
         return frozenset()

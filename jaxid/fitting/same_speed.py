@@ -69,10 +69,8 @@ def _as_well(bench: ProblemBuilder, theta: np.ndarray, row: StatedNumber, kd: in
 
 def _by_steps(binding: Binding, damping: float, kd: float) -> float:
     """What the simulated steps make an inertia appear to be more."""
-    steps = binding.chain.mechanism.tree.tree.steps  # type: ignore[attr-defined]
-    if steps is None or not binding.chain.mechanism.integrator:
-        return 0.0
-    return steps.inertia(damping, kd)
+    steps = binding.chain.mechanism.rough_steps
+    return 0.0 if steps is None else steps.inertia(damping, kd)
 
 
 def _open(row: StatedNumber) -> StatedNumber:

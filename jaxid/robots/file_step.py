@@ -9,7 +9,7 @@ Source: MuJoCo's documentation, chapter Modeling, "Solver parameters".
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ import numpy as np
 from jaxid.base.wording import listed
 from jaxid.dynamics.mujoco_step import INTEGRATORS
 from jaxid.dynamics.soft_constraints import FAR
+from jaxid.robots.steps import EXACT_STEPS
 
 
 #: Bounds of what solimp may say of an impedance.
@@ -59,9 +60,15 @@ class FileStep:
     integrator: str
     joints: Mapping[str, tuple[float, ...]]
 
+    def exact(self) -> FileStep:
+        """Steps of that length which leave nothing behind, over joints that give way alike."""
+        return replace(self, integrator="RK4")
+
     @property
     def said(self) -> str:
-        name = "Euler" if self.integrator == "EXPLICIT" else self.integrator.capitalize()
+        name = {"EXPLICIT": "Euler", "RK4": "RK4"}.get(
+            self.integrator, self.integrator.capitalize()
+        )
         return f"{name} steps of {self.timestep:g} s with MuJoCo's soft friction and stops"
 
     def of(self, joints: Sequence[str]) -> dict[str, np.ndarray]:
@@ -72,6 +79,15 @@ class FileStep:
     def default(self) -> tuple[float, ...]:
         """A joint without stops, as soft as MuJoCo has it where nothing is said."""
         return joint_numbers(SOLREF, SOLIMP, SOLREF, SOLIMP, (-FAR, FAR), 0.0, 2 * self.timestep)
+
+
+def asked_of(simulator: str, own: FileStep | None) -> FileStep | None:
+    """The steps that a robot takes by a simulator ("own", "mujoco", "mujoco_rk4") whose file has
+    steps of its `own`.
+    """
+    if own is None or simulator == "own":
+        return None
+    return own.exact() if simulator == EXACT_STEPS else own
 
 
 def file_step(mj: Any, model: Any, joints: Mapping[str, int]) -> FileStep | None:

@@ -32,6 +32,7 @@ from jaxid.robots.free_joints import with_free_joints
 from jaxid.robots.ground import Ground
 from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.recorded_joints import held_at, POSE as POSE, refuse_unknown
+from jaxid.robots.steps import EXACT_STEPS
 from jaxid.robots.tree import Coupling, Tree
 
 
@@ -474,6 +475,8 @@ def _steps_said(mechanism: Any) -> str:
     """Whose steps simulate a robot under goals, and why not the file's."""
     tree: Tree = mechanism.tree.tree
     if mechanism.integrator and tree.simulator is not None:
+        if mechanism.simulator == EXACT_STEPS:
+            return f"simulated in {tree.simulator.exact().said}, which leave nothing behind"
         return f"simulated as its file asks MuJoCo for: {tree.simulator.said}"
     beyond = beyond_its_step(tree, mechanism.drive_law)
     return f"simulated in jaxid's own steps: {beyond or 'the dataset says so'}"

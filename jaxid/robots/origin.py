@@ -51,9 +51,9 @@ def _simulator(mechanism: Any, tree: Tree) -> dict[str, Any]:
     if not mechanism.integrator or tree.simulator is None:
         return {"kind": "own"}
     return {
-        "kind": "mujoco",
+        "kind": mechanism.simulator,
         "timestep": tree.simulator.timestep,
-        "integrator": tree.simulator.integrator,
+        "integrator": mechanism.integrator,
     }
 
 

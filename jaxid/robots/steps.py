@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 
+#: Whose steps a robot takes that gives way as its file says, in steps that leave nothing behind.
+EXACT_STEPS = "mujoco_rk4"
 #: Integrator -> signs of what a joint's damping and a drive's add to the inertia.
 SIGNS = {"EULER": (1.0, -1.0), "IMPLICIT": (1.0, 1.0), "IMPLICITFAST": (1.0, 1.0)}
 

@@ -17,6 +17,7 @@ from jaxid.dynamics.soft_constraints import Edges, Slip, Stops
 from jaxid.numerics.fast_math import inverse
 from jaxid.numerics.precision import float64
 from jaxid.robots.ground import distances_of, edges_of, Ground, TreePose, yielding_of
+from jaxid.robots.steps import EXACT_STEPS
 
 
 class Yielding(Staged):
@@ -50,6 +51,18 @@ class Yielding(Staged):
     @property
     def own_step(self):
         return self.tree.tree.simulator.timestep if self.integrator else None
+
+    @property
+    def simulator(self) -> str:
+        """Whose steps it takes: "own", "mujoco" or "mujoco_rk4"."""
+        if not self.integrator:
+            return "own"
+        as_its_file = self.integrator == self.tree.tree.simulator.integrator
+        return "mujoco" if as_its_file else EXACT_STEPS
+
+    @property
+    def rough_steps(self):
+        return self.tree.tree.steps if self.simulator == "mujoco" else None
 
     def soft_joints(self, at: Any = None) -> SoftJoints:
         """How joints give way where MuJoCo steps; `at` the positions [nq] of the file's reference

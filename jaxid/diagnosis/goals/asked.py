@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.goals.gains import freed, known_loosely, with_room
-from jaxid.diagnosis.goals.hold import with_other_hold
 from jaxid.diagnosis.question import Search
 from jaxid.diagnosis.result import Diagnosis
 from jaxid.dynamics.effect import Effect
@@ -45,10 +44,6 @@ class GoalsQuestion:
         trusted.
         """
         return known_loosely(self.bound(names), inflation)
-
-    def otherwise(self) -> GoalsQuestion:
-        """The same of goals that go the other way from sample to sample."""
-        return replace(self, dataset=with_other_hold(self.dataset))
 
     def made(self, binding: Binding) -> ProblemBuilder:
         return ProblemBuilder(binding, self.step, differences=1, together=True)

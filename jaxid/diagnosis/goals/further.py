@@ -172,7 +172,8 @@ def _borne_out(
     wider.compared(best, [stands, *tried])
     if best is stands:
         return _as_it_stands(so_far, wider, nominal, stands, proposed)
-    chosen = wider.thinned(nominal, wider.reweighed(best), tried)
+    best, nominal = wider.released(wider.reweighed(best), nominal)
+    chosen = wider.thinned(nominal, best, tried)
     found = [c for c in chosen.effects if c not in standing]
     rivals = wider.rivals(chosen, tried)
     if not found or not all(wider.claimed(c, rivals) for c in found):

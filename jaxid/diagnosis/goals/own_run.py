@@ -79,8 +79,7 @@ def stepped_changes(binding: Binding, kinds: Sequence[type[Effect]]) -> list[Sta
 
 def _steps_of(binding: Binding) -> Steps | None:
     """Steps of first order in which a model is simulated as its file asks for."""
-    mechanism = binding.chain.mechanism
-    return mechanism.tree.tree.steps if mechanism.integrator else None  # type: ignore[attr-defined]
+    return binding.chain.mechanism.rough_steps
 
 
 def without_steps(binding: Binding) -> Binding:

@@ -15,7 +15,7 @@ from jaxid.diagnosis.goals.as_stated import AsStated
 from jaxid.diagnosis.goals.asked import Answer, GoalsQuestion
 from jaxid.diagnosis.goals.further import with_what_is_still_missing
 from jaxid.diagnosis.goals.gains import asked_for, known_loosely, with_room
-from jaxid.diagnosis.goals.hold import goes_the_other_way, said
+from jaxid.diagnosis.goals.in_file_steps import with_numbers_of_the_file
 from jaxid.diagnosis.goals.law_told import law_told
 from jaxid.diagnosis.goals.own_run import run_of_file, stepped_changes, without_steps
 from jaxid.diagnosis.goals.propose import (
@@ -27,6 +27,7 @@ from jaxid.diagnosis.goals.propose import (
     shown,
 )
 from jaxid.diagnosis.goals.search import Decider
+from jaxid.diagnosis.goals.settings import HOLD, in_file_steps, SimulationSetting, STEPS
 from jaxid.diagnosis.goals.study import LedStudy, loop_step
 from jaxid.diagnosis.goals.touching import simulated_changes, simulated_effects
 from jaxid.diagnosis.hypothesis import Hypothesis, SearchResult
@@ -138,15 +139,12 @@ def diagnose_led(
         answer=answer,
         progress=progress,
     )
-    if touches(binding):
-        found, other_way = _touching(ask, binding, seed, began), False
-    else:
-        found, other_way = _diagnosed(ask, binding, seed, began)
     notes = []
-    if other_way:
-        other = ask.otherwise()
-        found, _ = _diagnosed(other, other.bound(), seed, began, other_way)
-        notes.append(said(dataset))
+    if touches(binding):
+        found = _touching(ask, binding, seed, began)
+    else:
+        found, otherwise = _in_its_settings(ask, binding, seed, began)
+        notes += otherwise
     left = sorted(k.name for k in library if not shown(k))
     notes.append(
         f"asked along the measured motion: {listed(sorted(names_of(ask.kinds)))}; not asked, for"
@@ -155,15 +153,37 @@ def diagnose_led(
     return replace(found, notes=(*found.notes, *notes), wall_time_s=time.perf_counter() - began)
 
 
+def _in_its_settings(
+    ask: GoalsQuestion, binding: Binding, seed: int, began: float
+) -> tuple[Diagnosis, list[str]]:
+    """The diagnosis with the settings of the simulation that the recording has, and a note of each
+    that is otherwise than stated.
+    """
+    asked, notes = [STEPS, HOLD], []
+    while True:
+        try:
+            found = _diagnosed(ask, binding, seed, began, asked)
+            break
+        except _Otherwise as turned:
+            other = turned.setting
+        notes.append(other.said(binding))
+        asked.remove(other)
+        ask = other.question(ask)
+        binding = ask.bound()
+    if STEPS not in asked:
+        found = with_numbers_of_the_file(in_file_steps(ask), found)
+    return found, notes
+
+
 def _diagnosed(
     ask: GoalsQuestion,
     binding: Binding,
     seed: int,
     began: float,
-    other_way: bool | None = None,
-) -> tuple[Diagnosis, bool]:
-    """The diagnosis with goals that go from sample to sample as a dataset has it, and whether they
-    turn out to go the other way, unless that is known.
+    settings: Sequence[SimulationSetting],
+) -> Diagnosis:
+    """The diagnosis with settings as they are stated; raises `_Otherwise` where one of some turns
+    out not to be so.
     """
     say = ask.progress or (lambda *_: None)
     say("along the motion", 0, 2, "rows")
@@ -178,7 +198,7 @@ def _diagnosed(
     by_itself = stated is not None and stated.stands
     near = binding.theta if by_itself else study.theta
     names, bare = binding.layout.names, Proposal((), (), near)
-    road = _Road(names, bare, seed, began, ask.progress, other_way)
+    road = _Road(ask, names, bare, seed, began, settings)
     alone = kinds_of([c.proposal for c in stated.changes]) if stated is not None else []
     if stated is not None:
         stated.ask(lambda: ask.made(ask.bound(alone)), ask.progress)
@@ -195,7 +215,7 @@ def _diagnosed(
         f"{found.nominal.evaluations} free runs were simulated under the law, in steps of"
         f" {ask.step:.2g} s at most"
     )
-    return replace(found, notes=(*found.notes, *notes)), bool(road.other_way)
+    return replace(found, notes=(*found.notes, *notes))
 
 
 def _touching(ask: GoalsQuestion, binding: Binding, seed: int, began: float) -> Diagnosis:
@@ -218,12 +238,11 @@ def _touching(ask: GoalsQuestion, binding: Binding, seed: int, began: float) -> 
     stated = AsStated(bench, run, lambda: simulated_changes(bench, wide, binding, ask.kinds))
     alone = kinds_of([change.proposal for change in stated.changes])
     road = _Road(
+        ask=ask,
         names=binding.layout.names,
         bare=Proposal((), (), binding.theta),
         seed=seed,
         began=began,
-        progress=ask.progress,
-        other_way=False,
     )
     stated.ask(lambda: begun_as(alone), ask.progress)
     if stated.begin is not None:
@@ -278,7 +297,7 @@ def _as_stated(
 
     def decide(decider: Decider, nominal: Hypothesis) -> tuple[Decider, SearchResult]:
         found = stated.decided(decider, nominal)
-        road.turns(decider, found)
+        road.question(decider, found, road.settings)
         return decider, found
 
     found = ask.answer(
@@ -306,8 +325,7 @@ def _searched(
     def decide(decider: Decider, nominal: Hypothesis) -> tuple[Decider, SearchResult]:
         first = decider.decided(nominal, proposed)
         decider, found = with_what_is_still_missing(ask, decider, first)
-        if road.turns(decider, found):  # another diagnosis takes the place of this one
-            return decider, found
+        road.question(decider, found, road.settings)
         return decider, decider.with_what_the_file_lacks(decider.believed(found))
 
     return ask.answer(
@@ -318,6 +336,16 @@ def _searched(
     )
 
 
+class _Otherwise(Exception):
+    """A setting of the simulation is otherwise than stated: another diagnosis has to take the place
+    of this one.
+    """
+
+    def __init__(self, setting: SimulationSetting):
+        super().__init__(setting)
+        self.setting = setting
+
+
 #: From the nominal model what is chosen, and the decider whose simulations that is of.
 Decide = Callable[[Decider, Hypothesis], tuple[Decider, SearchResult]]
 
@@ -326,12 +354,12 @@ Decide = Callable[[Decider, Hypothesis], tuple[Decider, SearchResult]]
 class _Road:
     """From a bench to the re-tuned nominal model and what is chosen."""
 
+    ask: GoalsQuestion
     names: Sequence[str]
     bare: Proposal
     seed: int
     began: float
-    progress: Progress | None
-    other_way: bool | None  # whether goals go the other way than stated; None: not asked yet
+    settings: Sequence[SimulationSetting] = ()  # that may be otherwise than stated
     like: Path | None = None  # what the re-tuned model begins as, where that is known
 
     def __call__(
@@ -340,10 +368,12 @@ class _Road:
         offer: Offer,
         decide: Decide,
     ) -> SearchOutcome:
-        first = Decider(bench, self.names, self.progress)
+        first = Decider(bench, self.names, self.ask.progress)
         theta = as_vector(bench.binding, self.names, self.bare)
         nominal = first.refit((), theta, self.like)
-        offer(lambda: self._fitted(first, nominal.path), SearchResult(nominal, nominal))
+        search = SearchResult(nominal, nominal)
+        offer(lambda: self._fitted(first, nominal.path), search)
+        self.question(first, search, [s for s in self.settings if s.at_once])
         decider, search = decide(first, nominal)
         plain = decider.settled(search.nominal)
         search.settled = plain, decider.settled(search.chosen) if search.chosen.effects else plain
@@ -354,12 +384,13 @@ class _Road:
             compile_time=decider.bench.compile_time(),
         )
 
-    def turns(self, decider: Decider, search: SearchResult) -> bool:
-        """Whether goals turn out to go the other way than stated, which is asked once."""
-        if self.other_way is not None:
-            return False
-        self.other_way = goes_the_other_way(decider, search)
-        return self.other_way
+    def question(
+        self, decider: Decider, search: SearchResult, settings: Sequence[SimulationSetting]
+    ) -> None:
+        """Raises `_Otherwise` where a setting is otherwise than stated, beside what was found."""
+        for setting in settings:
+            if setting.is_so(self.ask, decider, search):
+                raise _Otherwise(setting)
 
     def _fitted(self, decider: Decider, path: Path) -> Fit:
         """A descent on the bench of a decider as a fit."""

@@ -145,6 +145,47 @@ class Decider:
     def _counted(self, h: Hypothesis, inflation: float) -> Hypothesis:
         """The same refitted with priors that count so often, which hold from now on."""
         self.bench.binding = counted_as_often(self.bench.binding, inflation)
+        return self._posed_again(h)
+
+    def released(self, chosen: Hypothesis, nominal: Hypothesis) -> tuple[Hypothesis, Hypothesis]:
+        """What was chosen, and the nominal model, where stated numbers that the runs refute beside
+        what was chosen are not known any more. That such a number is wrong altogether is no more
+        improbable than that an effect is missing: without this an effect may stand for what holds
+        the number back.
+        """
+        most = RULE.per_number - RULE.log_prior
+        while True:
+            binding = self.bench.binding
+            refuted = {i for i in binding.priors if self._departure(chosen, i) > most}
+            if not refuted:
+                return chosen, nominal
+            priors = {i: known for i, known in binding.priors.items() if i not in refuted}
+            self.bench.binding = replace(binding, priors=priors)
+            self.slopes = None
+            chosen = self._from_stated(chosen, refuted)
+            nominal = self._from_stated(nominal, refuted)
+
+    def _from_stated(self, h: Hypothesis, but: Set[int]) -> Hypothesis:
+        """A model refitted from the numbers that are stated, `but` some and those of its effects:
+        a number that was held back may have drawn others along.
+        """
+        again = self._posed_again(h)
+        kept = [*but, *chain.from_iterable(c.index for c in h.effects)]
+        theta = self.bench.binding.theta.copy()
+        theta[kept] = again.theta[kept]
+        anew = self.polished(self.refit(h.effects, theta))
+        return anew if self.gained(again, anew) > 0 else again
+
+    def _departure(self, h: Hypothesis, i: int) -> float:
+        """What it costs that a number is not as it is stated."""
+        binding = self.bench.binding
+        if i not in binding.priors or i not in h.path.problem.free:
+            return 0.0
+        mean, std = binding.priors[i]
+        return float((h.theta[i] - mean) / std) ** 2 / 2 / binding.inflation
+
+    def _posed_again(self, h: Hypothesis) -> Hypothesis:
+        """A model refitted with what is known of its numbers by now."""
         p = self.bench.problem(OutputError(), "fit", h.path.problem.free, h.theta)
         return self.polished(replace(h, path=replace(h.path, problem=p)))
 
@@ -187,7 +228,7 @@ class Decider:
         chosen = max(good, key=lambda h: self.gained(nominal, h), default=nominal)
         self.compared(chosen, [nominal, *tried])
         if chosen.effects:
-            chosen = self.reweighed(chosen)
+            chosen, nominal = self.released(self.reweighed(chosen), nominal)
         chosen = self.thinned(nominal, chosen, tried)
         named = self.certain(chosen.effects)
         rivals = self.rivals(chosen, tried)
@@ -208,26 +249,30 @@ class Decider:
         """By how much the log evidence of fit and validation runs rises from one model to another
         at some joints (default: all), priors and the price of effects counted.
         """
+        found = [self.evidence(h, *_left(h), joints) for h in (before, after)]
+        return float(found[1] - found[0])
+
+    def evidence(
+        self,
+        h: Hypothesis,
+        left: np.ndarray,
+        count: np.ndarray,
+        joints: Sequence[int] | None = None,
+    ) -> float:
+        """Log evidence of a model that leaves these sums of squares of so many samples, [outputs],
+        at some joints (default: all), priors and the price of effects counted.
+        """
         joints = range(self.bench.binding.chain.nq) if joints is None else joints
         directions = RULE.directions
         if len(joints) > TOGETHER:
             directions /= len(joints)
-        found = []
-        for h in (before, after):
-            left, count = _left(h)
-            own = log_evidence(left[list(joints)], count[list(joints)], directions)
-            found.append(float(own.sum()) - self._price(h))
-        return float(found[1] - found[0])
+        own = log_evidence(left[list(joints)], count[list(joints)], directions)
+        return float(own.sum()) - self._price(h)
 
     def _price(self, h: Hypothesis) -> float:
         """What the effects of a model and the numbers of its file cost."""
-        b = self.bench.binding
-        price = float(RULE.per_number * h.size - RULE.log_prior * len(h.effects))
-        for i in h.path.problem.free:
-            if int(i) in b.priors:
-                mean, std = b.priors[int(i)]
-                price += float((h.theta[i] - mean) / std) ** 2 / 2 / b.inflation
-        return price
+        own = float(RULE.per_number * h.size - RULE.log_prior * len(h.effects))
+        return own + sum(self._departure(h, int(i)) for i in h.path.problem.free)
 
     def with_what_the_file_lacks(self, search: SearchResult) -> SearchResult:
         """A brake that the file leaves at nothing (`damping`, `frictionloss` of a joint) and that

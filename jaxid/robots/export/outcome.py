@@ -14,6 +14,7 @@ import numpy as np
 
 from jaxid.base.errors import UsageError
 from jaxid.base.numbers import is_finite, is_number
+from jaxid.robots.steps import EXACT_STEPS
 
 
 KINDS = ("fit", "diagnosis", "identification")
@@ -224,8 +225,6 @@ def robot_entry(robot: Mapping[str, Any]) -> dict[str, Any]:
         return {}
     held = robot.get("held") or {}
     base = robot.get("base") or {}
-    simulator = robot.get("simulator")
-    by_its_file = isinstance(simulator, Mapping) and simulator.get("kind") == "mujoco"
     place: dict[str, Any] = {k: number(k, base.get(k, 0.0)) for k in ("roll", "pitch", "yaw")}
     if base.get("kind") == "free":
         place["kind"] = "free"
@@ -238,7 +237,23 @@ def robot_entry(robot: Mapping[str, Any]) -> dict[str, Any]:
         "base": place,
         "without": _names(robot, "without"),
         "drive": _drive(robot.get("drive")),
-        "simulator": {"kind": "mujoco" if by_its_file else "own"},
+        "simulator": _simulator(robot.get("simulator")),
+    }
+
+
+def _simulator(simulator: Any) -> dict[str, Any]:
+    """Whose steps a result's simulations took, and the numbers for the file's own steps."""
+    kind = simulator.get("kind") if isinstance(simulator, Mapping) else None
+    if kind not in ("mujoco", EXACT_STEPS):
+        return {"kind": "own"}
+    written = simulator.get("numbers") or {}
+    if not written:
+        return {"kind": kind}
+    if not isinstance(written, Mapping) or len(written) > MOST:
+        raise UsageError("robot.simulator.numbers of the result are not what jaxid writes")
+    return {
+        "kind": kind,
+        "numbers": {_name(k, "numbers"): number(k, v) for k, v in written.items()},
     }
 
 

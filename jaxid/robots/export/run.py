@@ -99,12 +99,14 @@ def export(
         files |= more.files
         notes += more.notes
         table = more.table
+    by_its_steps = in_steps.robot.get("simulator", {}).get("kind") == "mujoco"
+    simulated = in_steps if by_its_steps else found
     source = {
         "schema": 1,
         "kind": "export",
         "to": to,
-        "robot": _of_file(found, path),
-        "result": _numbers(found),
+        "robot": _of_file(simulated, path),
+        "result": _numbers(simulated),
     }
     return Exported(to, rows, files, tuple(notes), source, table)
 

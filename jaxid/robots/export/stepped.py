@@ -4,6 +4,7 @@ written a second time.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 from jaxid.robots.export.law_code import own_number
@@ -15,6 +16,8 @@ from jaxid.robots.steps import nearest, Steps
 ARMATURE = "armature"
 #: A stated number is refuted beyond this many standard deviations.
 REFUTED = 3.0
+#: Of a machine that takes no steps.
+FOLLOWS = "numbers are those with which the file follows the machine best in its own {}"
 #: What of a joint is later by the steps, by a fit's number or by an effect.
 DELAY = "delay"
 
@@ -24,8 +27,11 @@ def stepped(found: ExportOutcome, sheet: Sheet) -> tuple[ExportOutcome, tuple[st
     simulator make of them; and what is to be said of that. `sheet`: the robot before.
     """
     steps = sheet.tree.steps if sheet.tree is not None else None
-    if steps is None or found.robot.get("simulator", {}).get("kind") == "mujoco":
+    simulator = found.robot.get("simulator", {})
+    if steps is None or simulator.get("kind") == "mujoco":
         return found, ()
+    if simulator.get("numbers"):
+        return _in_its_steps(found, simulator["numbers"]), (FOLLOWS.format(steps.said),)
     stated = _stated(found)
     numbers = dict(found.parameters)
     for name, n in found.parameters.items():
@@ -43,6 +49,22 @@ def stepped(found: ExportOutcome, sheet: Sheet) -> tuple[ExportOutcome, tuple[st
         " inertia and act h / 2 early"
     )
     return replace(found, parameters=numbers, effects=effects), (note,) if changed else ()
+
+
+def _in_its_steps(found: ExportOutcome, written: Mapping[str, float]) -> ExportOutcome:
+    """The result with numbers that were fitted in the file's own steps."""
+    parameters = {}
+    for name, n in found.parameters.items():
+        parameters[name] = replace(n, value=written.get(name, n.value))
+    effects = []
+    for e in found.effects:
+        numbers = {}
+        for field, n in e.numbers.items():
+            own = f"{e.effect}.{field}@{e.location}"
+            numbers[field] = replace(n, value=written.get(own, n.value))
+        effects.append(replace(e, numbers=numbers))
+    robot = {**found.robot, "simulator": {"kind": "mujoco"}}
+    return replace(found, parameters=parameters, effects=tuple(effects), robot=robot)
 
 
 def _stated(found: ExportOutcome) -> dict[str, float]:
@@ -86,7 +108,7 @@ def _later(steps: Steps, n: Number, stated: float | None = None) -> Number:
 
 def _late(steps: Steps, effect: Named) -> Named:
     own = own_number(effect.effect)
-    if own is None or own.quantity != DELAY or own.number not in effect.numbers:
+    if own is None or not _is_delay(effect.effect) or own.number not in effect.numbers:
         return effect
     later = _later(steps, effect.numbers[own.number])
     return replace(effect, numbers={**effect.numbers, own.number: later})
@@ -94,5 +116,10 @@ def _late(steps: Steps, effect: Named) -> Named:
 
 def shifted(name: str) -> bool:
     """Whether the steps of a simulator shift a number of a fit, or an effect."""
-    own = own_number(name)
-    return name in (ARMATURE, DELAY) or (own is not None and own.quantity == DELAY)
+    return name in (ARMATURE, DELAY) or _is_delay(name)
+
+
+def _is_delay(effect: str) -> bool:
+    """Whether the delay of a joint's command is what an effect stands for."""
+    own = own_number(effect)
+    return own is not None and own.quantity == DELAY
