@@ -51,6 +51,11 @@ class Hypothesis:
     def fit_loss(self) -> float:
         return self.path.loss
 
+    @cached_property
+    def residuals(self) -> list[np.ndarray]:
+        """What it leaves of each fit run over the noise, [samples columns]; simulated once."""
+        return self.path.problem.residuals(self.path.z)
+
     @property
     def index(self) -> tuple[int, ...]:
         """Positions of the effects' numbers in the layout."""
@@ -72,7 +77,7 @@ class Hypothesis:
     @cached_property
     def fit_inflation(self) -> float:
         """What `evidence.inflation` is for held-out runs, for the residual of the fit runs."""
-        return max(1.0, self.fit_loss) * memory(self.path.problem.residuals(self.path.z))
+        return max(1.0, self.fit_loss) * memory(self.residuals)
 
     @cached_property
     def covariance(self) -> CovarianceEstimate:

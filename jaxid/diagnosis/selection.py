@@ -114,9 +114,7 @@ def mirror_images(
 def at_floor(h: Hypothesis) -> bool:
     """Nothing is left to explain: the noise, and white."""
     low = h.fit_loss <= level(h.path.count) and h.validation.loss <= level(h.validation.count)
-    return bool(
-        low and max(memory(h.validation.settled), memory(h.path.problem.residuals(h.path.z))) <= 2
-    )
+    return bool(low and max(memory(h.validation.settled), memory(h.residuals)) <= 2)
 
 
 def close_to_noise(h: Hypothesis) -> bool:

@@ -164,7 +164,7 @@ def _within_a_step(model: Hypothesis, gap: float, counted: np.ndarray) -> bool:
     """
     if not level(model.validation.count) < gap**2 <= MOST_OF_ZEROS:
         return False
-    for residual in (model.path.problem.residuals(model.path.z), model.validation.settled):
+    for residual in (model.residuals, model.validation.settled):
         left = []
         for r in residual:
             zero = np.clip(r.mean(0), -HALF_A_STEP, HALF_A_STEP)

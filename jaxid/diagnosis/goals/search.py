@@ -469,7 +469,7 @@ def _probability(gained: float) -> float:
 
 def _left(h: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
     """Sums of squares over the noise of fit and validation runs, and their samples, [outputs]."""
-    every = [*h.path.problem.residuals(h.path.z), *h.validation.settled]
+    every = [*h.residuals, *h.validation.settled]
     left = np.sum([np.sum(r**2, axis=0) for r in every], axis=0)
     return left, np.full(len(left), float(sum(map(len, every))))
 
