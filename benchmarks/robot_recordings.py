@@ -67,19 +67,22 @@ def diagnosed(name: str) -> list[dict[str, Any]]:
 
 
 def identified(name: str) -> list[dict[str, Any]]:
-    """Torque of the joints, relative error on each recording that was not fitted."""
+    """Torque of the joints, relative error on each recording that was not fitted; none of a joint
+    that stands still.
+    """
     found = jaxid.identify(None, recording(name))
-    return [
-        {
-            "recording": f"{name} {r['experiment']}",
-            "joint": r["joint"],
-            "file as it stands": r["as_it_stands"],
-            "re-tuned": r["retuned"],
-            "unit": r["unit"],
-        }
-        for r in found.per_joint
-        if r["split"] != "fit"
-    ]
+    rows = []
+    for r in found.per_joint:
+        if r["split"] == "fit":
+            continue
+        row = {"recording": f"{name} {r['experiment']}", "joint": r["joint"]}
+        if np.isnan(r["retuned"]):
+            row["answer"] = "stands still"
+        else:
+            errors = {"file as it stands": r["as_it_stands"], "re-tuned": r["retuned"]}
+            row |= errors | {"unit": r["unit"]}
+        rows.append(row)
+    return rows
 
 
 def main() -> dict[str, Any]:

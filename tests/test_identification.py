@@ -21,8 +21,9 @@ from jaxid.dynamics.base_parameters import standard_values
 from jaxid.dynamics.rigid_body import about_origin
 from jaxid.fitting.recursive_least_squares import ridge_rls
 from jaxid.identification.online import OnlineIdentification
-from jaxid.identification.run import identify
+from jaxid.identification.run import _errors, identify
 from jaxid.models import UR10
+from jaxid.report.identified import error
 from test_serial_arm import table_of, twin
 
 
@@ -735,3 +736,11 @@ def test_what_short_recordings_leave_open_stays_near_the_file():
 def test_a_standard_parameter_is_that_of_its_own_joint(joint):
     arm = SimpleNamespace(Ixx=np.arange(1.0, 13.0))
     assert standard_values(arm, [f"Ixx{joint}"]) == [joint]
+
+
+def test_a_joint_that_stands_still_has_no_relative_error():
+    torque = np.array([[2.0, 0.05], [-2.0, 0.05]])
+    modelled = np.array([[1.5, 2.0], [-1.5, 2.0]])
+    _, each, _ = _errors(torque, modelled, np.array([1.0, 0.0]))
+    assert each[0] == pytest.approx(0.25) and np.isnan(each[1])
+    assert error(each[1]) == "stands still"

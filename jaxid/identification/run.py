@@ -300,7 +300,7 @@ def _nearer_the_file(
         found = []
         for r in by:
             smooth, _ = next(iter(torques(r, [(law, fit.theta, fit.exponent)])))
-            found.append(_errors(r.tau, smooth)[0])
+            found.append(_errors(r.tau, smooth, r.moves)[0])
         return np.array(found)
 
     def solved(trust: float) -> LawFit:
@@ -387,7 +387,8 @@ def _scored(
     for run in runs:
         drawn = []
         for own, (smooth, raw) in zip(scores, torques(run, laws), strict=True):
-            filtered, unfiltered = _errors(run.tau, smooth), _errors(run.tau_raw, raw)
+            filtered = _errors(run.tau, smooth, run.moves)
+            unfiltered = _errors(run.tau_raw, raw, run.moves)
             own.append(RunScore(run.name, run.split, *filtered, unfiltered[0], unfiltered[2]))
             drawn.append(smooth.astype(np.float32))  # for pictures
         predicted.append(drawn)
@@ -395,10 +396,14 @@ def _scored(
 
 
 def _errors(
-    tau: np.ndarray, modelled: np.ndarray
+    tau: np.ndarray, modelled: np.ndarray, moves: np.ndarray
 ) -> tuple[float, tuple[float, ...], tuple[float, ...]]:
+    """Relative error of all joints, of each (NaN where it stands still: dry friction holds any
+    torque there), and root mean square of each.
+    """
     e = tau - modelled
     each = np.linalg.norm(e, axis=0) / np.maximum(np.linalg.norm(tau, axis=0), 1e-300)
+    each = np.where(moves > 0, each, np.nan)
     return (
         float(np.linalg.norm(e) / np.linalg.norm(tau)),
         tuple(each.tolist()),

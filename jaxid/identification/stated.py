@@ -151,7 +151,8 @@ def beside_the_file(
         size = np.maximum(np.linalg.norm(run.tau, axis=0), 1e-300)
         before = np.linalg.norm(run.tau - predicted, axis=0) / size
         after = next(e for e in result.experiments if e.file == run.name).relative_error_per_joint
-        worst = np.maximum(worst, before)
+        before = np.where(run.moves > 0, before, np.nan)  # as those that are identified
+        worst = np.fmax(worst, before)
         joints += [
             {
                 "joint": f"q{j + 1}",

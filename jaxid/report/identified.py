@@ -69,7 +69,9 @@ def not_predicted(result: Identification) -> str:
 
 
 def error(relative: float, decimals: int = 2) -> str:
-    """A relative error in percent."""
+    """A relative error in percent; of a joint that stands still there is none."""
+    if np.isnan(relative):
+        return "stands still"
     return wording.percent(relative) if not relative < 10 else f"{100 * relative:.{decimals}f} %"
 
 
