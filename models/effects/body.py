@@ -76,7 +76,9 @@ def _where_loosenable(mechanism, signature):
 
 
 def _where_loadable(mechanism, signature):
-    return signature.joints if isinstance(mechanism, Loadable) else ()
+    if not isinstance(mechanism, Loadable):
+        return ()
+    return getattr(mechanism, "loads", signature.joints)
 
 
 def _where_tiltable(mechanism, signature):
