@@ -197,7 +197,7 @@ class Alone:
         """Those that a change moves: what the fit runs tell from what they were, else all."""
         return self.told(h) or [i for c in h.effects for i in c.index]
 
-    def said(self, enough: Sequence[Hypothesis]) -> str:
+    def said(self, enough: Sequence[Hypothesis], verdict: str) -> str:
         """What other single changes do as much as the first: those that a verdict does not name by
         itself.
         """
@@ -229,10 +229,10 @@ class Alone:
             ]
             more = (
                 f" So would {' or '.join(' and '.join(map(str, h.effects)) for h in alike)}."
-                if alike
+                if alike and verdict != "unknown"
                 else ""
             )
-            return f"One change of the file accounts for the gap: {own}.{more}"
+            return one_change(own, verdict) + more
         text = "All numbers of the file stand as they are."
         if self.as_likely is not None:
             own = listed([value(i, self.as_likely) for i in self.told(self.as_likely)])
@@ -333,5 +333,16 @@ class AsStated:
         found = decider.with_what_the_file_lacks(plain)
         return found if self.alone is None else replace(found, stands=self.alone.stands)
 
-    def said(self) -> str:
-        return self.alone.said(self.enough) if self.alone is not None and self.enough else ""
+    def said(self, verdict: str) -> str:
+        """What the text of a verdict leaves out."""
+        if self.alone is None or not self.enough:
+            return ""
+        return self.alone.said(self.enough, verdict)
+
+
+def one_change(own: str, verdict: str) -> str:
+    """That numbers of the file with their values (`own`) are what it lacks; with `unknown`, once
+    they were re-tuned, it is only what comes nearest.
+    """
+    does = "comes nearest" if verdict == "unknown" else "accounts for the gap"
+    return f"One change of the file {does}: {own}."
