@@ -59,8 +59,10 @@ def test_a_recording_of_mujocos_is_the_run_of_its_file(tmp_path):
 
 def test_what_is_unknown_is_not_accounted_for():
     own = "sliding_friction@foot 0.467 (stated 0.9)"
-    assert one_change(own, "none") == f"One change of the file accounts for the gap: {own}."
-    assert one_change(own, "unknown") == f"One change of the file comes nearest: {own}."
+    accounts = f"One change of the file accounts for the gap: {own}."
+    assert one_change(own, [], "none") == accounts
+    assert one_change(own, ["lag", "delay"], "none") == f"{accounts} So would lag or delay."
+    assert one_change(own, ["lag"], "unknown") == f"One change of the file comes nearest: {own}."
 
 
 CHANGES = {

@@ -222,17 +222,9 @@ class Alone:
         own_numbers = [h for h in self._as_few(first, enough) if self.of_numbers(h)][:1]
         if self.of_numbers(first):
             own = listed([value(i, first) for i in self._numbers_of(first)])
-            alike = [
-                h
-                for h in self._as_few(first, enough)
-                if not self.of_numbers(h) and indistinct(first, h)
-            ]
-            more = (
-                f" So would {' or '.join(' and '.join(map(str, h.effects)) for h in alike)}."
-                if alike and verdict != "unknown"
-                else ""
-            )
-            return one_change(own, verdict) + more
+            others = [h for h in self._as_few(first, enough) if not self.of_numbers(h)]
+            alike = [" and ".join(map(str, h.effects)) for h in others if indistinct(first, h)]
+            return one_change(own, alike, verdict)
         text = "All numbers of the file stand as they are."
         if self.as_likely is not None:
             own = listed([value(i, self.as_likely) for i in self.told(self.as_likely)])
@@ -340,9 +332,11 @@ class AsStated:
         return self.alone.said(self.enough, verdict)
 
 
-def one_change(own: str, verdict: str) -> str:
-    """That numbers of the file with their values (`own`) are what it lacks; with `unknown`, once
-    they were re-tuned, it is only what comes nearest.
+def one_change(own: str, alike: Sequence[str], verdict: str) -> str:
+    """That numbers of the file with their values (`own`) are what it lacks, as would be what is
+    `alike`; with `unknown`, once they were re-tuned, they are only what comes nearest.
     """
-    does = "comes nearest" if verdict == "unknown" else "accounts for the gap"
-    return f"One change of the file {does}: {own}."
+    if verdict == "unknown":
+        return f"One change of the file comes nearest: {own}."
+    text = f"One change of the file accounts for the gap: {own}."
+    return f"{text} So would {' or '.join(alike)}." if alike else text
