@@ -22,7 +22,7 @@ from jaxid.dynamics.mechanism import Signature
 from jaxid.dynamics.parameter import constant, param, ParameterSpec
 from jaxid.dynamics.rigid_body import Base, still
 from jaxid.robots import dynamics, free_numbers, rods
-from jaxid.robots.bodies import beyond_ends, BODY, body_of, one_joint_of_each_body, ten_numbers
+from jaxid.robots.bodies import beyond_ends, BODY, body_of, ten_numbers
 from jaxid.robots.channels import GRAVITY, PLACE, RIDE, signature_of
 from jaxid.robots.coupled import carried, Coupled, coupled, gathered
 from jaxid.robots.file_step import FIELDS as SOFT
@@ -556,11 +556,6 @@ class Robot(GoalDriven):
         the link's centre of mass.
         """
         return self._with("added", beyond_ends(self, mass, beyond))
-
-    @property
-    def loads(self) -> tuple[str, ...]:
-        """Joints at whose links a payload differs from that at any other."""
-        return one_joint_of_each_body(self)
 
     def tilted(self, angle: Float[Array, " nq"]) -> Robot:
         """The same on a base turned by angle[0] about the first joint's axis."""
