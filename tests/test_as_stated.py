@@ -9,6 +9,7 @@ import pytest
 
 import jaxid
 from jaxid.benchmark.goal_arms import dataset, GoalArm, goals, recorded
+from jaxid.diagnosis.goals.as_stated import one_change
 from jaxid.diagnosis.goals.own_run import run_of_file
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.binding import bind
@@ -54,6 +55,14 @@ def test_a_recording_of_mujocos_is_the_run_of_its_file(tmp_path):
     off = bind(written(tmp_path), dataset(case(4.0, armature=ends(ARM.armature, 1.5))))
     run = run_of_file(ProblemBuilder(off, differences=1, together=True))
     assert run is not None and not run.accounts(off)
+
+
+def test_what_is_unknown_is_not_accounted_for():
+    own = "sliding_friction@foot 0.467 (stated 0.9)"
+    accounts = f"One change of the file accounts for the gap: {own}."
+    assert one_change(own, [], "none") == accounts
+    assert one_change(own, ["lag", "delay"], "none") == f"{accounts} So would lag or delay."
+    assert one_change(own, ["lag"], "unknown") == f"One change of the file comes nearest: {own}."
 
 
 CHANGES = {

@@ -106,6 +106,14 @@ def test_numbers_of_one_kind_are_asked_together_too():
     assert {("kp@hip",), ("kp@knee",), ("kp@hip", "kp@knee")} <= asked
 
 
+def test_a_payload_is_offered_once_per_body():
+    leg = robot()
+    chain = bind(leg, recorded(TEXT, 1.0)).chain
+    assert chain.offers(catalogue.effect_class("payload")) == ("up", "hip", "knee")
+    along, up, _, _ = (leg.loaded(mass).added for mass in np.eye(4))
+    np.testing.assert_array_equal(along, up)
+
+
 def test_the_ground_pushes_along_the_motion_so_the_model_is_not_asked_there(monkeypatch):
     def refused(*_: object) -> None:
         raise AssertionError("forces of the ground are not known along a motion")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxid.fitting import wide_slopes
-from jaxid.fitting.wide_slopes import descend_widely, is_noise
+from jaxid.fitting.wide_slopes import before_lost, descend_widely, is_noise
 
 
 SAMPLES = np.linspace(0.0, 1.0, 200)
@@ -27,6 +27,9 @@ def problem(lower: float = -5.0, upper: float = 5.0, size: int = 2) -> Any:
         lower=np.full(size, lower),
         upper=np.full(size, upper),
         known_before=lambda z: (np.zeros(0), np.zeros((0, size))),
+        records=[0],
+        runs=SimpleNamespace(record=lambda k: SimpleNamespace(samples=np.arange(len(SAMPLES)))),
+        targets=np.zeros((len(SAMPLES), 1)),
     )
 
 
@@ -81,6 +84,40 @@ def test_chance_makes_so_much_of_noise():
     assert all(is_noise(float(r @ r), r.size) for r in noise)
     assert not is_noise(1.5 * 400, 400)
     assert not is_noise(np.inf, 400)
+
+
+def test_a_run_is_followed_until_it_leaves_the_noise():
+    r = np.random.default_rng(2).normal(size=300)
+    assert before_lost(r).all()
+    r[200:] += 8.0
+    kept = before_lost(r)
+    assert kept[:200].all()
+    assert not kept[210:].any()
+    r[50] = np.nan
+    np.testing.assert_array_equal(np.flatnonzero(before_lost(r)), np.arange(50))
+
+
+def test_where_a_well_is_narrow_it_is_looked_for_within_what_the_run_tells_before(monkeypatch):
+    noise = np.random.default_rng(3).normal(size=len(SAMPLES))
+    begun, about = np.arange(len(SAMPLES)) < 100, []
+
+    def left(z):
+        """The first half tells the first number; a run with another second one is lost after."""
+        lost = 0.0 if abs(z[1] - TRUE[1]) < 0.1 else 30.0
+        return noise + np.where(begun, (z[0] - TRUE[0]) / 0.01, lost)
+
+    monkeypatch.setattr(wide_slopes, "residuals", lambda p, points: [left(z) for z in points])
+    own = wide_slopes.WideDescent.look_about
+
+    def counted(descent):
+        about.append(descent.z.copy())
+        return own(descent)
+
+    monkeypatch.setattr(wide_slopes.WideDescent, "look_about", counted)
+    path, _ = descend_widely(problem(), np.array([0.7, -1.8]), 40)
+    assert about
+    assert path.loss < 1.3
+    np.testing.assert_allclose(path.z[0], TRUE[0], atol=0.01)
 
 
 def test_it_stays_within_bounds(noisy):

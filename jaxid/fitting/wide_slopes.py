@@ -9,6 +9,7 @@ of what is known, which averages over the jumps (implicit filtering, Kelley 2011
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +26,8 @@ DAMPED = (0.0, 0.03, 0.3, 3.0, 30.0)
 SHARES, SCATTERED = (1.0, 0.5, 0.25), 8
 #: Width of the scatter, as a share of that of the differences.
 SCATTER = 0.3
+#: Points that are tried about where a descent ends beside the noise.
+ABOUT = 48
 #: Step of the first differences, in typical changes of a number.
 TINY = 1e-6
 #: A round that gains less than this share is of no account.
@@ -73,12 +76,42 @@ class WideDescent:
         trials = self._trials(directions, gram, pull, size)
         points = [*beside, *trials]
         residual = [*found, *self._residuals(trials)]
-        squares = [_squares(r) for r in residual]
+        return self._moved(points, residual)
+
+    def look_about(self) -> float:
+        """Takes the best of points about where it stands, within what the runs tell before they are
+        lost; by how much the sum of squares falls. Where a run touches next is decided there, and
+        what comes after a touch that the machine did not make leads elsewhere.
+        """
+        slopes = self.slopes[self._followed()]
+        directions = principal_directions(self.problem, slopes.T @ slopes)
+        points = []
+        for _ in range(ABOUT):
+            aside = directions @ self.rng.normal(size=self.problem.size)
+            points.append(problem_clip(self.problem, self.z + aside))
+        return self._moved(points, self._residuals(points))
+
+    def _moved(self, points: Sequence[np.ndarray], found: Sequence[np.ndarray]) -> float:
+        """Goes to the best of some points, where that is better; by how much."""
+        squares = [_squares(r) for r in found]
         best = int(np.argmin(squares))
         gained = self.squares - squares[best]
-        if gained > 0:
-            self.z, self.r = points[best], residual[best]
-        return max(gained, 0.0)
+        if not gained > 0:
+            return 0.0
+        self.z, self.r = points[best], found[best]
+        return gained
+
+    def _followed(self) -> np.ndarray:
+        """Which residuals are those of the runs before they leave the noise, and what is known
+        without them [samples].
+        """
+        kept, begin = np.ones(self.r.size, bool), 0
+        for record in self.problem.records:
+            samples = self.problem.runs.record(record).samples
+            end = begin + self.problem.targets[samples].size
+            kept[begin:end] = before_lost(self.r[begin:end])
+            begin = end
+        return kept
 
     def _slope(self, ahead: np.ndarray, behind: np.ndarray, size: float) -> np.ndarray:
         """By both sides, or by that which does not diverge; 0 where neither says anything."""
@@ -175,13 +208,31 @@ def descend_widely(
         if idle and is_noise(descent.squares, descent.count):
             idle = len(WIDTHS)
         if idle == len(WIDTHS):
-            break
+            if is_noise(descent.squares, descent.count):
+                break
+            before = descent.squares
+            if descent.look_about() <= slight * before:
+                break
+            idle = 0
     return descent.path(idle == len(WIDTHS)), descent.simulated
 
 
 def is_noise(squares: float, count: int) -> bool:
     """Whether the squares of so many residuals sum up to no more than chance makes of noise."""
-    return squares <= count + CHANCE * np.sqrt(2 * count)
+    return bool(squares <= _most_of_noise(count))
+
+
+def before_lost(r: np.ndarray) -> np.ndarray:
+    """Which residuals of a run, in the order of time, come before it leaves the noise [samples]."""
+    with np.errstate(all="ignore"):
+        sums = np.cumsum(r**2)
+    noise = sums <= _most_of_noise(np.arange(1, r.size + 1))
+    return np.logical_and.accumulate(noise)
+
+
+def _most_of_noise(count: Any) -> Any:
+    """What the squares of so many residuals of noise sum up to at most."""
+    return count + CHANCE * np.sqrt(2 * count)
 
 
 def _squares(r: np.ndarray) -> float:

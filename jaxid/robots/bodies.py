@@ -108,6 +108,24 @@ def fault(link: str, inertia: np.ndarray) -> str | None:
     return None
 
 
+def carrying_node(robot: Any, joint: str) -> int:
+    """The node of a robot that carries the body which a joint moves: of a body with several joints
+    the last one.
+    """
+    node = robot.joints.index(joint)
+    while node not in robot.carriers:
+        node = robot.parent.index(node)
+    return node
+
+
+def one_joint_of_each_body(robot: Any) -> tuple[str, ...]:
+    """The joints of a robot that move a body each: of one with several joints the last of those
+    that are recorded.
+    """
+    by_node = {carrying_node(robot, joint): joint for joint in robot.signatures[0].joints}
+    return tuple(by_node.values())
+
+
 def beyond_ends(
     robot: Any, mass: Float[Array, " nq"], beyond: Float[Array, "nq 3"] | None
 ) -> Float[Array, "n 10"]:
@@ -116,9 +134,7 @@ def beyond_ends(
     """
     added = jnp.zeros((len(robot.joints), 10))
     for k, joint in enumerate(robot.signatures[0].joints):
-        node = robot.joints.index(joint)
-        while node not in robot.carriers:
-            node = robot.parent.index(node)
+        node = carrying_node(robot, joint)
         place = robot.carriers.index(node)
         ends = [i for i, up in enumerate(robot.parent) if up == node]
         if ends:

@@ -13,6 +13,7 @@ from jaxid.dynamics.export_law import ExportLaw, StandsFor
 from jaxid.dynamics.mechanism import Mechanism
 from jaxid.dynamics.parameter import ANGLE, DURATION, param, Quantity, SPEED, STEP, TORQUE
 from jaxid.numerics.fast_math import sincos
+from jaxid.robots.bodies import one_joint_of_each_body
 
 
 #: Inertia that the drive's torque would swing over the travel at the speed seen.
@@ -76,7 +77,11 @@ def _where_loosenable(mechanism, signature):
 
 
 def _where_loadable(mechanism, signature):
-    return signature.joints if isinstance(mechanism, Loadable) else ()
+    if not isinstance(mechanism, Loadable):
+        return ()
+    if hasattr(mechanism, "carriers"):  # a robot's bodies may have several joints each
+        return one_joint_of_each_body(mechanism)
+    return signature.joints
 
 
 def _where_tiltable(mechanism, signature):

@@ -197,7 +197,7 @@ class Alone:
         """Those that a change moves: what the fit runs tell from what they were, else all."""
         return self.told(h) or [i for c in h.effects for i in c.index]
 
-    def said(self, enough: Sequence[Hypothesis]) -> str:
+    def said(self, enough: Sequence[Hypothesis], verdict: str) -> str:
         """What other single changes do as much as the first: those that a verdict does not name by
         itself.
         """
@@ -222,17 +222,9 @@ class Alone:
         own_numbers = [h for h in self._as_few(first, enough) if self.of_numbers(h)][:1]
         if self.of_numbers(first):
             own = listed([value(i, first) for i in self._numbers_of(first)])
-            alike = [
-                h
-                for h in self._as_few(first, enough)
-                if not self.of_numbers(h) and indistinct(first, h)
-            ]
-            more = (
-                f" So would {' or '.join(' and '.join(map(str, h.effects)) for h in alike)}."
-                if alike
-                else ""
-            )
-            return f"One change of the file accounts for the gap: {own}.{more}"
+            others = [h for h in self._as_few(first, enough) if not self.of_numbers(h)]
+            alike = [" and ".join(map(str, h.effects)) for h in others if indistinct(first, h)]
+            return one_change(own, alike, verdict)
         text = "All numbers of the file stand as they are."
         if self.as_likely is not None:
             own = listed([value(i, self.as_likely) for i in self.told(self.as_likely)])
@@ -333,5 +325,18 @@ class AsStated:
         found = decider.with_what_the_file_lacks(plain)
         return found if self.alone is None else replace(found, stands=self.alone.stands)
 
-    def said(self) -> str:
-        return self.alone.said(self.enough) if self.alone is not None and self.enough else ""
+    def said(self, verdict: str) -> str:
+        """What the text of a verdict leaves out."""
+        if self.alone is None or not self.enough:
+            return ""
+        return self.alone.said(self.enough, verdict)
+
+
+def one_change(own: str, alike: Sequence[str], verdict: str) -> str:
+    """That numbers of the file with their values (`own`) are what it lacks, as would be what is
+    `alike`; with `unknown`, once they were re-tuned, they are only what comes nearest.
+    """
+    if verdict == "unknown":
+        return f"One change of the file comes nearest: {own}."
+    text = f"One change of the file accounts for the gap: {own}."
+    return f"{text} So would {' or '.join(alike)}." if alike else text

@@ -306,7 +306,7 @@ def _as_stated(
         lambda bench, offer: road(bench, offer, decide),
         ask.step,
     )
-    text = f"{found.which.text} {stated.said()}".strip()
+    text = f"{found.which.text} {stated.said(found.which.verdict)}".strip()
     return replace(found, which=replace(found.which, text=text)), notes
 
 
