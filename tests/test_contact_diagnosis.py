@@ -4,6 +4,7 @@ import importlib
 from dataclasses import replace
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -110,7 +111,7 @@ def test_a_payload_is_offered_once_per_body():
     leg = robot()
     chain = bind(leg, recorded(TEXT, 1.0)).chain
     assert chain.offers(catalogue.effect_class("payload")) == ("up", "hip", "knee")
-    along, up, _, _ = (leg.loaded(mass).added for mass in np.eye(4))
+    along, up, _, _ = (leg.loaded(jnp.asarray(mass)).added for mass in np.eye(4))
     np.testing.assert_array_equal(along, up)
 
 
