@@ -1,6 +1,7 @@
 """A machine that takes no steps, and a file whose simulator does: two numbers of it are wrong."""
 
 import importlib
+import json
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid.base.serialise import save_json
 from jaxid.robots.export.run import export
 
 
@@ -61,9 +63,9 @@ def test_what_steps_leave_behind_gets_no_name(tmp_path: Path):
         readings.append(run_of(MACHINE, u) + noise)
     t = np.arange(0, SECONDS, 1 / RATE)
     data = jaxid.Dataset.from_arrays(
-        t,
-        {f"{joint}_cmd": np.array(wanted)[:, :, k] for k, joint in enumerate(JOINTS)},
-        {joint: np.array(readings)[:, :, k] for k, joint in enumerate(JOINTS)},
+        [t] * len(wanted),
+        {f"{joint}_cmd": [u[:, k] for u in wanted] for k, joint in enumerate(JOINTS)},
+        {joint: [q[:, k] for q in readings] for k, joint in enumerate(JOINTS)},
         units=dict.fromkeys([*JOINTS, *(f"{joint}_cmd" for joint in JOINTS)], "rad"),
         noise_std=dict.fromkeys(JOINTS, NOISE),
         check_model=False,
@@ -73,6 +75,8 @@ def test_what_steps_leave_behind_gets_no_name(tmp_path: Path):
     assert found.final.robot["simulator"]["kind"] == "mujoco_rk4"
     assert found.how_far.gap_after < 1.1
     new = goals(9)
-    patched = export(found.to_dict(), "mjcf", robot=file).files["arm.xml"]
+    save_json(found, tmp_path / "diagnosis.json")
+    content = json.loads((tmp_path / "diagnosis.json").read_text())
+    patched = export(content, "mjcf", robot=file).files["arm.xml"]
     apart = run_of(str(patched), new) - run_of(MACHINE, new)
     assert np.sqrt(np.mean(apart**2)) < 2 * NOISE

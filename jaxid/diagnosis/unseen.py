@@ -310,10 +310,13 @@ class BlindSpotSearch:
         return np.nan_to_num(residual - self.before, nan=1e100, posinf=1e100)
 
     def _sized(self, full: np.ndarray, size: float) -> np.ndarray:
-        """Parameters with a share of a probe; shapes stay as they are."""
-        return np.where(
-            self.bench.binding.layout.shapes, full, self.theta + size * (full - self.theta)
-        )
+        """Parameters with a share of a probe; shapes stay as they are, and so does a limit that is
+        none.
+        """
+        sized = self.theta.copy()
+        moves = full != self.theta
+        sized[moves] += size * (full[moves] - self.theta[moves])
+        return np.where(self.bench.binding.layout.shapes, full, sized)
 
     def _room(self, c: Candidate, full: np.ndarray) -> float:
         """How many times as large as a probe an effect may be."""

@@ -144,19 +144,22 @@ def _steps_said(stated: Binding) -> str:
 
 
 def _without_steps(decider: Decider, search: SearchResult) -> list[Hypothesis]:
-    """The model that is most probable without what steps leave behind, to first order and on the
-    fit runs, if it is more so than what was chosen. Steps that the dataset states stay.
+    """What was chosen, or that with fewer effects, whichever is most probable without what steps
+    leave behind, to first order and on the fit runs, if it is more so than what was chosen. Steps
+    that the dataset states stay.
     """
     binding = decider.bench.binding
     if binding.chain.mechanism.rough_steps is None or binding.dataset.stated.simulator is not None:
         return []
-    tried = [h for h in search.tried if np.isfinite(h.fit_loss)]
-    found = [search.nominal, *tried, search.chosen]
+    chosen = search.chosen
+    fewer = [h for h in search.tried if set(h.effects) < set(chosen.effects)]
+    found = [h for h in (search.nominal, *fewer, chosen) if np.isfinite(h.fit_loss)]
     foreseen = [_evidence_without_steps(decider, h) for h in found]
+    if not foreseen:
+        return []
     best = int(np.argmax(foreseen))
-    (squares, count) = _squares(search.chosen.path.problem.residuals(search.chosen.path.z))
-    stepped = decider.evidence(search.chosen, squares, count)
-    return [found[best]] if foreseen[best] + RULE.log_prior > stepped else []
+    in_steps = decider.evidence(chosen, *_squares(chosen.residuals))
+    return [found[best]] if foreseen[best] + RULE.log_prior > in_steps else []
 
 
 def _evidence_without_steps(decider: Decider, h: Hypothesis) -> float:
