@@ -237,15 +237,15 @@ def _own_actuators(tree: Tree, joints: Sequence[str]) -> bool:
 
 
 def measured_start(e: Experiment, data: Dataset, joints: tuple[str, ...]) -> np.ndarray:
-    """The stated start, else positions of the first sample and speeds of the first samples, 0 where
-    the run begins at rest.
+    """The stated start, else positions of the first sample and speeds there by a parabola through
+    the first samples, 0 where the run begins at rest.
     """
     outputs = data.output_names
     y = e.y[:, [outputs.index(j) for j in joints]]
     n = min(len(e.t), 5)
     speed = np.zeros(len(joints))
-    if n > 1 and not e.at_rest:
-        speed = (y[n - 1] - y[0]) / (e.t[n - 1] - e.t[0])
+    if n > 3 and not e.at_rest:
+        speed = np.polynomial.polynomial.polyfit(e.t[:n] - e.t[0], y[:n], 2)[1]
     start = dict(zip(joints, y[0], strict=True))
     start |= {f"{joint}_qd": v for joint, v in zip(joints, speed, strict=True)}
     known = e.initial or {}
