@@ -14,7 +14,7 @@ from jaxid.data.dataset import ModelSpec
 from jaxid.diagnosis.goals.asked import GoalsQuestion
 from jaxid.diagnosis.goals.own_run import run_of_file, stepped_changes
 from jaxid.diagnosis.goals.search import Decider
-from jaxid.diagnosis.goals.settings import HOLD, SimulationSetting, STEPS
+from jaxid.diagnosis.goals.settings import delays_said, HOLD, SimulationSetting, STEPS
 from jaxid.diagnosis.hypothesis import SearchResult
 from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.problem_builder import ProblemBuilder
@@ -251,3 +251,14 @@ def test_a_machine_takes_no_steps_where_a_claim_is_borne_out(robot, frictionloss
     assert not is_so(STEPS, robot, dataset(u, in_steps, None))
     assert is_so(STEPS, robot, dataset(u, in_none, None))
     assert not is_so(STEPS, robot, dataset(u, in_none))  # steps that are stated stay
+
+
+def test_a_delay_is_said_to_be_that_for_the_files_steps(robot):
+    u = goals(0.5)
+
+    def said(simulator: str, *named: str) -> str:
+        return " ".join(delays_said(bind(robot, dataset(u, u, simulator)), named))
+
+    assert "commands act 1 ms early" in said("mujoco", "coulomb_friction", "input_delay")
+    assert not said("mujoco", "coulomb_friction")
+    assert not said("mujoco_rk4", "input_delay")

@@ -27,7 +27,13 @@ from jaxid.diagnosis.goals.propose import (
     shown,
 )
 from jaxid.diagnosis.goals.search import Decider
-from jaxid.diagnosis.goals.settings import HOLD, in_file_steps, SimulationSetting, STEPS
+from jaxid.diagnosis.goals.settings import (
+    delays_said,
+    HOLD,
+    in_file_steps,
+    SimulationSetting,
+    STEPS,
+)
 from jaxid.diagnosis.goals.study import LedStudy, loop_step
 from jaxid.diagnosis.goals.touching import simulated_changes, simulated_effects
 from jaxid.diagnosis.hypothesis import Hypothesis, SearchResult
@@ -211,6 +217,7 @@ def _diagnosed(
     if study.of("validation"):
         notes.append(SETTLED)
     notes += law_told(found.final, binding.chain.signature.joints)
+    notes += delays_said(binding, [e.effect for e in found.which.effects])
     notes.append(
         f"{found.nominal.evaluations} free runs were simulated under the law, in steps of"
         f" {ask.step:.2g} s at most"

@@ -10,7 +10,7 @@ evidence that a claim needs.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.hypothesis import Hypothesis, SearchResult
 from jaxid.diagnosis.probability import RULE
 from jaxid.diagnosis.screen import Retuning
+from jaxid.dynamics.catalogue import effect_class
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.binding import Binding
 from jaxid.problem.problem import rows
@@ -40,6 +41,10 @@ NO_STEPS = (
     "the machine does not move in the file's {}: without what these leave behind the re-tuned model"
     " follows it better. Numbers are those of the machine; `jaxid export` writes those with which"
     " the file follows it best in its own steps"
+)
+EARLY = (
+    "delays are those for the file's {}, in which commands act {:.2g} ms early: a machine that takes"
+    " no steps is as much less late"
 )
 #: Halved steps show half of what steps leave behind, where they are of first order.
 HALF = 2
@@ -141,6 +146,14 @@ def in_file_steps(ask: GoalsQuestion) -> GoalsQuestion:
 def _steps_said(stated: Binding) -> str:
     steps = stated.chain.mechanism.rough_steps
     return NO_STEPS.format(steps.said)
+
+
+def delays_said(stated: Binding, named: Iterable[str]) -> list[str]:
+    """That delays among the effects that are named are those for the file's steps."""
+    steps = stated.chain.mechanism.rough_steps
+    if steps is None or "delay" not in [effect_class(name).quantity() for name in named]:
+        return []
+    return [EARLY.format(steps.said, 1e3 * steps.delay)]
 
 
 def _without_steps(decider: Decider, search: SearchResult) -> list[Hypothesis]:
