@@ -875,11 +875,11 @@ def test_where_an_encoder_counts_from_within_a_step_is_no_gap(zeros, wave, verdi
     ]
     residual = [np.sqrt(12) * e for e in error]
     loss = float(np.mean(np.square(residual)))
-    path = SimpleNamespace(
-        count=4000, z=None, problem=SimpleNamespace(residuals=lambda z: residual)
-    )
+    path = SimpleNamespace(count=4000)
     held = SimpleNamespace(loss=loss, count=4000, settled=residual)
-    model: Any = SimpleNamespace(effects=(), size=0, fit_loss=loss, path=path, validation=held)
+    model: Any = SimpleNamespace(
+        effects=(), size=0, fit_loss=loss, path=path, validation=held, residuals=residual
+    )
     assert judge(SearchResult(model, model), np.array([True])).name == verdict
     assert judge(SearchResult(model, model)).name == (
         "none" if loss < 1.2 else "unknown"
