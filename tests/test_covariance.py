@@ -9,7 +9,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 from scipy.stats import truncnorm
 
 from jaxid.fitting.covariance import covariance, CovarianceEstimate
@@ -64,6 +64,7 @@ def is_distribution(C: np.ndarray) -> bool:
     st.integers(0, 6),
     st.booleans(),
 )
+@example(72333, 4, 1, 4, True)  # rounding of numbers that are all but known
 def test_a_covariance_is_one_of_some_distribution(seed, n, rank, active, coloured):
     """Of random Jacobians, also of less than full rank and of columns of any size, with any numbers
     at their bounds.

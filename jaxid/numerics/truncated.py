@@ -61,7 +61,10 @@ def pushed(covariance: np.ndarray, at: np.ndarray, push: np.ndarray) -> np.ndarr
         own = out[k, k]
         if own > 0:
             share = square_beyond(float(slope * np.sqrt(own)))
-            out = out - (1 - min(share, 1.0)) * np.outer(out[:, k], out[k]) / own
+            # Of what is all but known rounding may have left a correlation beyond 1.
+            most = np.sqrt(np.maximum(np.diag(out), 0.0) * own)
+            across = np.clip(out[k], -most, most)
+            out = out - (1 - min(share, 1.0)) * np.outer(across, across) / own
     return positive(out)
 
 
