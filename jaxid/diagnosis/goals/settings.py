@@ -43,8 +43,8 @@ NO_STEPS = (
     " the file follows it best in its own steps"
 )
 EARLY = (
-    "delays are those for the file's {}, in which commands act {:.2g} ms early: a machine that takes"
-    " no steps is as much less late"
+    "delays are those for the file's {}, in which commands act {:.2g} ms early: a machine that"
+    " takes no steps is as much less late"
 )
 #: Halved steps show half of what steps leave behind, where they are of first order.
 HALF = 2
