@@ -12,12 +12,15 @@ import pytest
 import jaxid
 from jaxid.data.dataset import ModelSpec
 from jaxid.diagnosis.goals.asked import GoalsQuestion
+from jaxid.diagnosis.goals.gains import known_loosely, with_room
+from jaxid.diagnosis.goals.in_file_steps import _about, _candidates
 from jaxid.diagnosis.goals.own_run import run_of_file, stepped_changes
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.settings import delays_said, HOLD, SimulationSetting, STEPS
 from jaxid.diagnosis.hypothesis import SearchResult
 from jaxid.fitting.least_squares import levenberg_marquardt
 from jaxid.fitting.problem_builder import ProblemBuilder
+from jaxid.fitting.replay import measured_start
 from jaxid.fitting.run import ProblemBuilders
 from jaxid.fitting.simulate import simulate_dataset
 from jaxid.models import Robot
@@ -262,3 +265,36 @@ def test_a_delay_is_said_to_be_that_for_the_files_steps(robot):
     assert "commands act 1 ms early" in said("mujoco", "coulomb_friction", "input_delay")
     assert not said("mujoco", "coulomb_friction")
     assert not said("mujoco_rk4", "input_delay")
+
+
+def test_what_is_written_begins_at_the_numbers_of_the_fit(robot):
+    """Those of a law of the model, named as an effect, too: it is fitted once, not as one more."""
+
+    def number(value: float) -> Any:
+        return SimpleNamespace(value=value)
+
+    brake = SimpleNamespace(
+        effect="coulomb_friction", location="lift", parameters={"level": number(0.8)}
+    )
+    late = SimpleNamespace(
+        effect="input_delay", location="lift_cmd", parameters={"delay": number(0.013)}
+    )
+    fit: Any = SimpleNamespace(parameters={"armature@lift": number(0.06)}, effects=[brake, late])
+    u = goals(0.5)
+    binding = known_loosely(with_room(bind(robot, dataset(u, u))))
+    begins = _about(binding, fit)
+    at = [binding.layout.index(name) for name in ("armature@lift", "frictionloss@lift")]
+    assert begins.theta[at].tolist() == [0.06, 0.8]
+    assert [begins.priors[i][0] for i in at] == [0.06, 0.8]
+    assert brake.effect not in [c.effect for c in _candidates(binding, fit)]
+
+
+def test_a_run_begins_with_the_speed_that_it_has():
+    """One that is pulled from rest stands still first; a reading that is missing raises nothing."""
+    t = np.arange(30) * 0.01
+    q = 20 * t**2
+    data = dataset(q, q)
+    run = replace(data.experiments[0], t=t, initial=None, at_rest=False)
+    assert measured_start(run, data, ("lift",)) == pytest.approx([0.0, 0.0], abs=1e-9)
+    missing = replace(run, y=np.where(run.t[:, None] == t[2], np.nan, run.y))
+    assert np.isnan(measured_start(missing, data, ("lift",))[1])

@@ -193,7 +193,7 @@ class Mechanism(eqx.Module):
         return None
 
     @property
-    def rough_steps(self) -> Any:
+    def first_order_steps(self) -> Any:
         """Steps of first order that its simulator is told to take (`jaxid.robots.steps.Steps`): no
         machine takes them. None where steps leave nothing behind.
         """

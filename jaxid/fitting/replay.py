@@ -244,8 +244,9 @@ def measured_start(e: Experiment, data: Dataset, joints: tuple[str, ...]) -> np.
     y = e.y[:, [outputs.index(j) for j in joints]]
     n = min(len(e.t), 5)
     speed = np.zeros(len(joints))
-    if n > 3 and not e.at_rest:
-        speed = np.polynomial.polynomial.polyfit(e.t[:n] - e.t[0], y[:n], 2)[1]
+    if n > 1 and not e.at_rest:
+        powers = np.vander(e.t[:n] - e.t[0], 3 if n > 3 else 2, increasing=True)
+        speed = np.linalg.pinv(powers)[1] @ y[:n]
     start = dict(zip(joints, y[0], strict=True))
     start |= {f"{joint}_qd": v for joint, v in zip(joints, speed, strict=True)}
     known = e.initial or {}

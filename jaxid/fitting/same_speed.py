@@ -69,7 +69,7 @@ def _as_well(bench: ProblemBuilder, theta: np.ndarray, row: StatedNumber, kd: in
 
 def _by_steps(binding: Binding, damping: float, kd: float) -> float:
     """What the simulated steps make an inertia appear to be more."""
-    steps = binding.chain.mechanism.rough_steps
+    steps = binding.chain.mechanism.first_order_steps
     return 0.0 if steps is None else steps.inertia(damping, kd)
 
 

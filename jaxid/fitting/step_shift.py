@@ -41,8 +41,7 @@ def with_steps(
     split = bench.split_of(problem.runs)
     if split is None or not residual.free_run:
         return known
-    finer = replace(bench, finer=HALF, defects={}).runs(residual, split)
-    slope = _slope(problem, z, HALF * defects(problem, z, finer))
+    slope = _slope(problem, z, left_by_steps(bench, problem, residual, split, z))
     assert known.precision is not None
     values, directions = np.linalg.eigh(known.precision * np.outer(problem.scale, problem.scale))
     roots = np.sqrt(np.maximum(values, values[-1] * np.finfo(float).eps))
@@ -53,6 +52,18 @@ def with_steps(
     ).x
     along = problem.scale[:, None] * directions * (directions.T @ (moved / problem.scale))
     return widened_by(known, along @ along.T)
+
+
+def left_by_steps(
+    bench: ProblemBuilder,
+    problem: FitProblem,
+    residual: Residual,
+    split: str,
+    z: Float[np.ndarray, " numbers"],
+) -> Float[np.ndarray, "samples columns"]:
+    """What predictions at z would be more without steps, by those of half the length."""
+    finer = replace(bench, finer=HALF, defects={}).runs(residual, split)
+    return HALF * defects(problem, z, finer)
 
 
 def _slope(

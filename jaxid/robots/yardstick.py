@@ -41,7 +41,7 @@ def _row(binding: Any, found: Mapping[int, Any], i: int, tree: Tree | None) -> d
     kind, _, place = binding.layout.entries[i].name.partition("@")
     estimate, value = found[i], float(binding.theta[i])
     added, off = 0.0, estimate.value - value
-    exact = binding.chain.mechanism.rough_steps is None  # else these were simulated
+    exact = binding.chain.mechanism.first_order_steps is None  # else these were simulated
     if tree is not None and kind == "armature" and exact:
         added = added_by_steps(binding, found, tree, place)
     if added:

@@ -61,7 +61,7 @@ class Yielding(Staged):
         return "mujoco" if as_its_file else EXACT_STEPS
 
     @property
-    def rough_steps(self):
+    def first_order_steps(self):
         return self.tree.tree.steps if self.simulator == "mujoco" else None
 
     def soft_joints(self, at: Any = None) -> SoftJoints:

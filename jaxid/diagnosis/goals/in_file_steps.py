@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from jaxid.diagnosis.goals.asked import GoalsQuestion
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.hypothesis import Candidate
 from jaxid.diagnosis.result import Diagnosis
-from jaxid.fitting.result import Fit
+from jaxid.fitting.result import EffectEstimate, Fit
 from jaxid.problem.binding import Binding
 
 
@@ -21,7 +21,7 @@ def with_numbers_of_the_file(ask: GoalsQuestion, found: Diagnosis) -> Diagnosis:
     are trusted. `ask`: the question in these steps.
     """
     fit = found.final
-    binding = _about(ask.known([e.effect for e in fit.effects]), _numbers_of(fit))
+    binding = _about(ask.known([e.effect for e in fit.effects]), fit)
     decider = Decider(ask.made(binding), binding.layout.names, ask.progress)
     chosen = decider.refit(_candidates(binding, fit), binding.theta)
     chosen = decider.settled(decider.polished(chosen))
@@ -29,33 +29,45 @@ def with_numbers_of_the_file(ask: GoalsQuestion, found: Diagnosis) -> Diagnosis:
         return found
     names = binding.layout.names
     written = {names[i]: float(chosen.theta[i]) for i in chosen.path.problem.free}
+    for effect in fit.effects:
+        for i, field in _fields(binding, effect):
+            written[f"{effect.effect}.{field}@{effect.location}"] = float(chosen.theta[i])
     simulator = {**fit.robot["simulator"], "numbers": written}
     return replace(found, final=replace(fit, robot={**fit.robot, "simulator": simulator}))
 
 
-def _numbers_of(fit: Fit) -> dict[str, float]:
-    """Name in the layout -> value of all numbers of a fit."""
-    numbers = {name: estimate.value for name, estimate in fit.parameters.items()}
-    for effect in fit.effects:
-        for field, estimate in effect.parameters.items():
-            numbers[f"{effect.effect}.{field}@{effect.location}"] = estimate.value
-    return numbers
+def _fields(binding: Binding, effect: EffectEstimate) -> Iterator[tuple[int, str]]:
+    """Place in the layout and name of each number of an effect, one that is part of the model
+    among them.
+    """
+    for i in binding.layout.of_effect(effect.effect, effect.location):
+        yield i, binding.layout.entries[i].field
 
 
-def _about(binding: Binding, numbers: Mapping[str, float]) -> Binding:
-    """The binding that begins at these numbers, and knows its own to be near them."""
-    theta, priors = binding.theta.copy(), dict(binding.priors)
+def _about(binding: Binding, fit: Fit) -> Binding:
+    """The binding that begins at the numbers of a fit, and knows its own to be near them."""
+    found = {}
     for i, name in enumerate(binding.layout.names):
-        if name in numbers:
-            theta[i] = np.clip(numbers[name], binding.lower[i], binding.upper[i])
-    for i, (_, std) in binding.priors.items():
-        priors[i] = (float(theta[i]), std)
+        if name in fit.parameters:
+            found[i] = fit.parameters[name].value
+    for effect in fit.effects:
+        for i, field in _fields(binding, effect):
+            if field in effect.parameters:
+                found[i] = effect.parameters[field].value
+    theta = binding.theta.copy()
+    for i, value in found.items():
+        theta[i] = np.clip(value, binding.lower[i], binding.upper[i])
+    priors = {i: (float(theta[i]), std) for i, (_, std) in binding.priors.items()}
     return replace(binding, theta=theta, priors=priors)
 
 
 def _candidates(binding: Binding, fit: Fit) -> list[Candidate]:
+    """The effects of a fit but for those that are part of the model, whose numbers are fitted
+    anyway.
+    """
     out = []
     for effect in fit.effects:
-        index = binding.layout.of_effect(effect.effect, effect.location)
-        out.append(Candidate(effect.effect, effect.location, tuple(index)))
+        index = tuple(binding.layout.of_effect(effect.effect, effect.location))
+        if not set(index) <= set(binding.free):
+            out.append(Candidate(effect.effect, effect.location, index))
     return out

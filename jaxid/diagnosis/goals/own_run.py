@@ -14,7 +14,6 @@ from jaxid.dynamics.effect import Effect
 from jaxid.fitting.problem_builder import estimate_starts, ProblemBuilder
 from jaxid.problem.binding import Binding
 from jaxid.problem.residual import OutputError
-from jaxid.robots.steps import Steps
 from jaxid.robots.tree import Tree
 from jaxid.robots.yardstick import added_by_steps, as_it_stands
 from jaxid.simulation.sample_buffers import columns
@@ -68,7 +67,7 @@ def stepped_changes(binding: Binding, kinds: Sequence[type[Effect]]) -> list[Sta
     """
     tree: Tree = binding.chain.mechanism.tree.tree  # type: ignore[attr-defined]
     added = np.zeros_like(binding.theta)
-    if _steps_of(binding) is not None:
+    if binding.chain.mechanism.first_order_steps is not None:
         added = _added(binding, tree)
     found = []
     for change in changes(without_steps(binding), kinds, binding.theta + added):
@@ -77,16 +76,11 @@ def stepped_changes(binding: Binding, kinds: Sequence[type[Effect]]) -> list[Sta
     return found
 
 
-def _steps_of(binding: Binding) -> Steps | None:
-    """Steps of first order in which a model is simulated as its file asks for."""
-    return binding.chain.mechanism.rough_steps
-
-
 def without_steps(binding: Binding) -> Binding:
     """The binding with readings as late as columns that know no steps have them: in the file's
     steps a command that jumps acts early.
     """
-    steps = _steps_of(binding)
+    steps = binding.chain.mechanism.first_order_steps
     if steps is None:
         return binding
     inputs, _ = columns(binding.dataset, binding.chain)

@@ -469,9 +469,13 @@ def _probability(gained: float) -> float:
 
 def _left(h: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
     """Sums of squares over the noise of fit and validation runs, and their samples, [outputs]."""
-    every = [*h.residuals, *h.validation.settled]
-    left = np.sum([np.sum(r**2, axis=0) for r in every], axis=0)
-    return left, np.full(len(left), float(sum(map(len, every))))
+    return squares_of([*h.residuals, *h.validation.settled])
+
+
+def squares_of(residuals: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Sums of squares of runs [samples outputs], and their samples, [outputs]."""
+    left = np.sum([np.sum(r**2, axis=0) for r in residuals], axis=0)
+    return left, np.full(len(left), float(sum(map(len, residuals))))
 
 
 def _absent(b: Binding) -> list[Candidate]:

@@ -17,16 +17,16 @@ import numpy as np
 
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.goals.asked import GoalsQuestion
-from jaxid.diagnosis.goals.search import Decider
+from jaxid.diagnosis.goals.search import Decider, squares_of
 from jaxid.diagnosis.hypothesis import Hypothesis, SearchResult
 from jaxid.diagnosis.probability import RULE
 from jaxid.diagnosis.screen import Retuning
 from jaxid.dynamics.catalogue import effect_class
 from jaxid.fitting.problem_builder import ProblemBuilder
+from jaxid.fitting.step_shift import left_by_steps
 from jaxid.problem.binding import Binding
 from jaxid.problem.problem import rows
 from jaxid.problem.residual import OutputError
-from jaxid.problem.step_error import defects
 from jaxid.robots.steps import EXACT_STEPS
 
 
@@ -46,8 +46,6 @@ EARLY = (
     "delays are those for the file's {}, in which commands act {:.2g} ms early: a machine that"
     " takes no steps is as much less late"
 )
-#: Halved steps show half of what steps leave behind, where they are of first order.
-HALF = 2
 
 
 @dataclass(frozen=True)
@@ -144,13 +142,13 @@ def in_file_steps(ask: GoalsQuestion) -> GoalsQuestion:
 
 
 def _steps_said(stated: Binding) -> str:
-    steps = stated.chain.mechanism.rough_steps
+    steps = stated.chain.mechanism.first_order_steps
     return NO_STEPS.format(steps.said)
 
 
 def delays_said(stated: Binding, named: Iterable[str]) -> list[str]:
     """That delays among the effects that are named are those for the file's steps."""
-    steps = stated.chain.mechanism.rough_steps
+    steps = stated.chain.mechanism.first_order_steps
     if steps is None or "delay" not in [effect_class(name).quantity() for name in named]:
         return []
     return [EARLY.format(steps.said, 1e3 * steps.delay)]
@@ -162,7 +160,10 @@ def _without_steps(decider: Decider, search: SearchResult) -> list[Hypothesis]:
     that the dataset states stay.
     """
     binding = decider.bench.binding
-    if binding.chain.mechanism.rough_steps is None or binding.dataset.stated.simulator is not None:
+    if (
+        binding.chain.mechanism.first_order_steps is None
+        or binding.dataset.stated.simulator is not None
+    ):
         return []
     chosen = search.chosen
     fewer = [h for h in search.tried if set(h.effects) < set(chosen.effects)]
@@ -171,7 +172,7 @@ def _without_steps(decider: Decider, search: SearchResult) -> list[Hypothesis]:
     if not foreseen:
         return []
     best = int(np.argmax(foreseen))
-    in_steps = decider.evidence(chosen, *_squares(chosen.residuals))
+    in_steps = decider.evidence(chosen, *squares_of(chosen.residuals))
     return [found[best]] if foreseen[best] + RULE.log_prior > in_steps else []
 
 
@@ -180,8 +181,7 @@ def _evidence_without_steps(decider: Decider, h: Hypothesis) -> float:
     are re-tuned, to first order.
     """
     problem, z = h.path.problem, h.path.z
-    finer = replace(decider.bench, finer=HALF, defects={}).runs(OutputError(), "fit")
-    left_behind = HALF * defects(problem, z, finer)
+    left_behind = left_by_steps(decider.bench, problem, OutputError(), "fit", z)
     parts = list(rows([(problem, z)]))
     moved = []
     for part in parts:
@@ -191,13 +191,7 @@ def _evidence_without_steps(decider: Decider, h: Hypothesis) -> float:
     remaining = retuning.remaining(np.concatenate([r.ravel() for r in moved]))
     ends = np.cumsum([r.size for r in moved])[:-1]
     by_run = [x.reshape(r.shape) for x, r in zip(np.split(remaining, ends), moved, strict=True)]
-    return decider.evidence(h, *_squares(by_run))
-
-
-def _squares(residuals: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Sums of squares of runs [samples outputs] and how many samples these are, by output."""
-    left = np.sum([np.sum(r**2, axis=0) for r in residuals], axis=0)
-    return left, np.full(len(left), float(sum(map(len, residuals))))
+    return decider.evidence(h, *squares_of(by_run))
 
 
 HOLD = SimulationSetting(with_other_hold, _hold_said, _chosen_or_none)
