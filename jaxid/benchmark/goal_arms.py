@@ -31,6 +31,31 @@ KINDS = (
 )
 
 
+@dataclass(frozen=True)
+class Solver:
+    """How MuJoCo steps a model: seconds, its word for the integrator, whether dry friction is stiff."""
+
+    step: float = STEP
+    integrator: str = "implicitfast"
+    stiff: bool = True
+
+    def xml(self, gravity: str) -> str:
+        """The option, and the default of the joints."""
+        steps = f'timestep="{self.step}" integrator="{self.integrator}"'
+        option = f'<option {steps} gravity="{gravity}"/>'
+        if not self.stiff:
+            return option
+        return (
+            f"{option}"
+            f'<default><joint solreffriction="{2 * self.step} 1" solimpfriction=".99 .9999 .001"/>'
+            "</default>"
+        )
+
+
+#: Steps so small that more of them change nothing that an encoder reads.
+FINE = Solver(step=1e-4, integrator="RK4")
+
+
 @dataclass
 class GoalArm:
     """An arm as its file states it: one row for each joint."""
@@ -45,6 +70,7 @@ class GoalArm:
     kv: np.ndarray
     limit: np.ndarray
     more: dict[str, Any] = field(default_factory=dict)  # what the recorded arm has beyond its file
+    solver: Solver = Solver()
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, n: int | None = None) -> GoalArm:
@@ -86,13 +112,8 @@ class GoalArm:
                 f'<geom name="floor" type="plane" size="2 2 0.1" pos="0 0 {self.more["floor"]}"/>'
             )
         gravity = " ".join(f"{v:.9g}" for v in self._gravity())
-        option = (
-            f'<option timestep="{STEP}" integrator="implicitfast" gravity="{gravity}"/>'
-            f'<default><joint solreffriction="{2 * STEP} 1" solimpfriction=".99 .9999 .001"/>'
-            "</default>"
-        )
         return (
-            f'<mujoco model="arm"><compiler angle="radian"/>{option}<worldbody>{floor}{open_}'
+            f'<mujoco model="arm"><compiler angle="radian"/>{self.solver.xml(gravity)}<worldbody>{floor}{open_}'
             f"{close}</worldbody><actuator>{actuators}</actuator></mujoco>"
         )
 
@@ -223,12 +244,13 @@ def recorded(
         m.actuator_forcerange[j] = -beside["top"], beside["top"]
     late = beside.get("delay", 0.0)
     t = np.arange(len(u)) / rate
-    per, out = round(1 / rate / STEP), np.empty_like(u)
+    step = arm.solver.step
+    per, out = round(1 / rate / step), np.empty_like(u)
     for k in range(len(u)):
         for part in range(per):
             goal = u[k].copy()
             if late:
-                now = t[k] + part * STEP - late
+                now = t[k] + part * step - late
                 goal[j] = u[max(0, int(np.floor(now * rate + 1e-9))), j] if now >= 0 else u[0, j]
             d.ctrl[:] = goal - bias  # the law sees what the encoder reads
             if "torque" in beside:
@@ -243,15 +265,20 @@ def recorded(
 
 
 def limited(
-    arm: GoalArm, j: int, beside: dict[str, Any], u: np.ndarray, rng: np.random.Generator
+    arm: GoalArm,
+    j: int,
+    beside: dict[str, Any],
+    u: np.ndarray,
+    rng: np.random.Generator,
+    rate: float = RATE,
 ) -> dict[str, Any]:
     """`beside` with the most torque that a drive gives which gives less than the file says: a share
     of what a motion asks for.
     """
     if "clip" not in beside:
         return beside
-    free = recorded(arm, "none", j, {}, u, rng)
-    asked = arm.kp[j] * (u[:, j] - free[:, j]) - arm.kv[j] * np.gradient(free[:, j], 1 / RATE)
+    free = recorded(arm, "none", j, {}, u, rng, rate)
+    asked = arm.kp[j] * (u[:, j] - free[:, j]) - arm.kv[j] * np.gradient(free[:, j], 1 / rate)
     return beside | {"top": beside["clip"] * float(np.abs(asked).max())}
 
 
