@@ -229,9 +229,11 @@ class Robot(GoalDriven):
             "gravity": np.array(tree.gravity, np.float64),
             **{f"base_{k}": np.float64(0.0) for k in PLACE[3:]},
         }
-        step = None if tree.floats else asked_of(simulator, tree.simulator)
+        stated = None if tree.floats else tree.simulator
+        step = asked_of(simulator, stated)
         self.integrator = "" if step is None else step.integrator
-        soft = dict.fromkeys(SOFT, np.float64(0.0)) if step is None else step.of(leading)
+        # Also where no simulation needs them: a layout of numbers holds whatever steps are taken.
+        soft = dict.fromkeys(SOFT, np.float64(0.0)) if stated is None else stated.of(leading)
         for name, value in (numbers | soft).items():
             setattr(self, name, value)
         self.ground, self.sliding_friction = ground, friction_of(ground)

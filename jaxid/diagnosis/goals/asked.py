@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.goals.gains import freed, known_loosely, with_room
+from jaxid.diagnosis.goals.study import loop_step
 from jaxid.diagnosis.question import Search
 from jaxid.diagnosis.result import Diagnosis
 from jaxid.dynamics.effect import Effect
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.problem_builder import ProblemBuilder
 from jaxid.problem.binding import bind, Binding
+from jaxid.simulation.sample_buffers import STEP
 
 
 #: Makes of a binding with candidates, names of effects, a search and the step of its simulations
@@ -33,6 +35,11 @@ class GoalsQuestion:
     answer: Answer
     progress: Progress | None
 
+    def about(self, dataset: Dataset) -> GoalsQuestion:
+        """The same question about a recording that is read otherwise, in steps that suit it."""
+        other = replace(self, dataset=dataset)
+        return replace(other, step=simulated_step(other.bound()))
+
     def bound(self, names: Sequence[str] = (), gains: Sequence[str] = ()) -> Binding:
         """The model with effects of these names as candidates and these gains fitted."""
         asked = [k for k in self.kinds if k.name in names]
@@ -47,3 +54,9 @@ class GoalsQuestion:
 
     def made(self, binding: Binding) -> ProblemBuilder:
         return ProblemBuilder(binding, self.step, differences=1, together=True)
+
+
+def simulated_step(binding: Binding) -> float:
+    """The longest step of the simulations, s."""
+    own = binding.chain.mechanism.own_step
+    return max(STEP, loop_step(binding)) if own is None else own

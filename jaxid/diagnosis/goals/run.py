@@ -12,7 +12,7 @@ from jaxid.base.errors import UsageError
 from jaxid.base.wording import listed, names_of
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.goals.as_stated import AsStated
-from jaxid.diagnosis.goals.asked import Answer, GoalsQuestion
+from jaxid.diagnosis.goals.asked import Answer, GoalsQuestion, simulated_step
 from jaxid.diagnosis.goals.further import with_what_is_still_missing
 from jaxid.diagnosis.goals.gains import asked_for, known_loosely, with_room
 from jaxid.diagnosis.goals.in_file_steps import with_numbers_of_the_file
@@ -29,12 +29,12 @@ from jaxid.diagnosis.goals.propose import (
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.settings import (
     delays_said,
-    HOLD,
-    in_file_steps,
+    otherwise,
+    settings_of,
     SimulationSetting,
-    STEPS,
+    stepped_by,
 )
-from jaxid.diagnosis.goals.study import LedStudy, loop_step
+from jaxid.diagnosis.goals.study import LedStudy
 from jaxid.diagnosis.goals.touching import simulated_changes, simulated_effects
 from jaxid.diagnosis.hypothesis import Hypothesis, SearchResult
 from jaxid.diagnosis.question import Offer, SearchOutcome
@@ -49,7 +49,7 @@ from jaxid.fitting.problem_builder import ProblemBuilder, touches
 from jaxid.fitting.result import Fit
 from jaxid.problem.binding import Binding
 from jaxid.problem.residual import OutputError
-from jaxid.simulation.sample_buffers import STEP, step_count
+from jaxid.simulation.sample_buffers import step_count
 
 
 TOO_DEAR = (
@@ -101,12 +101,6 @@ def stands(chain: Chain, dataset: Dataset) -> bool:
     """
     priors = dataset.stated.parameters.values()
     return not chain.mechanism.known() and all(p.prior is None for p in priors)
-
-
-def simulated_step(binding: Binding) -> float:
-    """The longest step of the simulations, s."""
-    own = binding.chain.mechanism.own_step
-    return max(STEP, loop_step(binding)) if own is None else own
 
 
 def begin_simulations(binding: Binding) -> float:
@@ -165,7 +159,7 @@ def _in_its_settings(
     """The diagnosis with the settings of the simulation that the recording has, and a note of each
     that is otherwise than stated.
     """
-    asked, notes = [STEPS, HOLD], []
+    stated, asked, notes = ask, settings_of(ask.dataset), []
     while True:
         try:
             found = _diagnosed(ask, binding, seed, began, asked)
@@ -176,8 +170,9 @@ def _in_its_settings(
         asked.remove(other)
         ask = other.question(ask)
         binding = ask.bound()
-    if STEPS not in asked:
-        found = with_numbers_of_the_file(in_file_steps(ask), found)
+    simulator = stated.dataset.stated.simulator
+    if ask.dataset.stated.simulator != simulator:
+        found = with_numbers_of_the_file(ask.about(stepped_by(ask.dataset, simulator)), found)
     return found, notes
 
 
@@ -395,9 +390,9 @@ class _Road:
         self, decider: Decider, search: SearchResult, settings: Sequence[SimulationSetting]
     ) -> None:
         """Raises `_Otherwise` where a setting is otherwise than stated, beside what was found."""
-        for setting in settings:
-            if setting.is_so(self.ask, decider, search):
-                raise _Otherwise(setting)
+        setting = otherwise(settings, self.ask, decider, search)
+        if setting is not None:
+            raise _Otherwise(setting)
 
     def _fitted(self, decider: Decider, path: Path) -> Fit:
         """A descent on the bench of a decider as a fit."""

@@ -1,17 +1,18 @@
 """What a simulation is told beside its model, and may be otherwise: how goals run from sample to
-sample, and in which steps the machine moves.
+sample, in which steps the machine moves, and whether its joints stick.
 
 A log of a goal says when it was asked, not what the drive made of it until the next one. A file
 says in which steps its simulator moves a robot; steps of first order add to inertias and let
-commands act early, as they do in a recording of that simulator and not in one of a machine. Each is
-one more thing that is judged like an effect: by simulation, beside what was found, with the
-evidence that a claim needs.
+commands act early, as they do in a recording of that simulator and not in one of a machine; and its
+soft friction lets a joint creep that a machine's holds. Each is one more thing that is judged like
+an effect: by simulation, beside what was found, with the evidence that a claim needs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from jaxid.fitting.step_shift import left_by_steps
 from jaxid.problem.binding import Binding
 from jaxid.problem.problem import rows
 from jaxid.problem.residual import OutputError
+from jaxid.problem.step_error import defects
 from jaxid.robots.steps import EXACT_STEPS
 
 
@@ -42,6 +44,11 @@ NO_STEPS = (
     " follows it better. Numbers are those of the machine; `jaxid export` writes those with which"
     " the file follows it best in its own steps"
 )
+STICKS = (
+    "the machine does not move in the file's {}: with joints that friction holds altogether, and"
+    " without what steps leave behind, the re-tuned model follows it better. Numbers are those of"
+    " the machine; `jaxid export` writes those with which the file follows it best in its own steps"
+)
 EARLY = (
     "delays are those for the file's {}, in which commands act {:.2g} ms early: a machine that"
     " takes no steps is as much less late"
@@ -50,45 +57,81 @@ EARLY = (
 
 @dataclass(frozen=True)
 class SimulationSetting:
-    """Something that may be otherwise than a dataset or a file has it. `otherwise`: the dataset
-    with it. `said`: of a binding as it is stated. `promising`: those of some models that may follow
-    the runs better so. `at_once`: it is asked before effects are, too.
+    """Something that may be otherwise than a dataset or a file has it. `changed`: the dataset with
+    it. `said`: of a binding as it is stated. `promising`: by deciders as it is stated and with it,
+    models of a search that may follow the runs better so. `at_once`: it is asked before effects
+    are, too.
     """
 
-    otherwise: Callable[[Dataset], Dataset]
+    changed: Callable[[Dataset], Dataset]
     said: Callable[[Binding], str]
-    promising: Callable[[Decider, SearchResult], list[Hypothesis]]
+    promising: Callable[[Decider, Decider, SearchResult], Promise]
     at_once: bool = False
 
     def question(self, ask: GoalsQuestion) -> GoalsQuestion:
         """The same question with this setting."""
-        return replace(ask, dataset=self.otherwise(ask.dataset))
+        return ask.about(self.changed(ask.dataset))
 
-    def is_so(self, ask: GoalsQuestion, decider: Decider, search: SearchResult) -> bool:
-        """Whether it explains what a claim has to, beside what was chosen or in its place, and is
-        more probable than what was chosen.
-        """
-        if not search.chosen.effects and decider.at_noise(search.chosen):
-            return False
-        found = self.promising(decider, search)
-        if not found:
-            return False
-        ended = {id(h): _ended(decider, h) for h in (*found, search.chosen)}
-        chosen = ended[id(search.chosen)]
-        if not chosen.effects and decider.at_noise(chosen):
-            return False
-        other = replace(decider, bench=self._bench(ask, decider))
-        claimed = any(_claimed(decider, other, ended[id(h)], chosen) for h in found)
-        decider.evaluations = other.evaluations
-        return claimed
-
-    def _bench(self, ask: GoalsQuestion, decider: Decider) -> ProblemBuilder:
-        """The simulations of a decider with this setting."""
+    def decider(self, ask: GoalsQuestion, decider: Decider) -> Decider:
+        """A decider whose simulations have this setting."""
         bench = decider.bench
         names = [effect.name for effect in bench.binding.chain.effects]
-        made = self.question(ask).bound(names)
+        other = self.question(ask)
+        made = other.bound(names)
         changed = replace(bench.binding, dataset=made.dataset, chain=made.chain, layout=made.layout)
-        return ProblemBuilder(changed, bench.step, bench.differences, together=bench.together)
+        simulations = ProblemBuilder(
+            changed, other.step, bench.differences, together=bench.together
+        )
+        return replace(decider, bench=simulations)
+
+
+def settings_of(dataset: Dataset) -> list[SimulationSetting]:
+    """What may be otherwise than a dataset has it: steps that it states stay."""
+    if dataset.stated.simulator is not None:
+        return [HOLD]
+    return [STEPS, STICKING, HOLD]
+
+
+def otherwise(
+    settings: Sequence[SimulationSetting],
+    ask: GoalsQuestion,
+    decider: Decider,
+    search: SearchResult,
+) -> SimulationSetting | None:
+    """The first of some settings, from the most promising on, with which a model explains what a
+    claim has to, beside what was chosen or in its place, and is more probable than that.
+    """
+    if not search.chosen.effects and decider.at_noise(search.chosen):
+        return None
+    others = [setting.decider(ask, decider) for setting in settings]
+    promises = [s.promising(decider, o, search) for s, o in zip(settings, others, strict=True)]
+    order = sorted(range(len(settings)), key=lambda k: -promises[k].gained)
+    found = [h for promise in promises for h in promise.models]
+    if not found:
+        return None
+    ended = {id(h): _ended(decider, h) for h in (*found, search.chosen)}
+    chosen = ended[id(search.chosen)]
+    if not chosen.effects and decider.at_noise(chosen):
+        return None
+    for k in order:
+        models = [ended[id(h)] for h in promises[k].models]
+        claimed = any(_claimed(decider, others[k], h, chosen) for h in models)
+        decider.evaluations = others[k].evaluations
+        if claimed:
+            return settings[k]
+    return None
+
+
+class Promise(NamedTuple):
+    """Models that may follow the runs better with a setting, and by how much the log evidence would
+    rise, to first order.
+    """
+
+    gained: float
+    models: Sequence[Hypothesis]
+
+
+NOTHING = Promise(0.0, ())
 
 
 def _ended(decider: Decider, h: Hypothesis) -> Hypothesis:
@@ -122,28 +165,25 @@ def _hold_said(stated: Binding) -> str:
     return OTHER_WAY.format(WORDS.get(OTHER.get(hold, hold)), WORDS.get(hold, hold))
 
 
-def _chosen_or_none(decider: Decider, search: SearchResult) -> list[Hypothesis]:
+def _chosen_or_none(_: Decider, __: Decider, search: SearchResult) -> Promise:
     chosen = [search.chosen] if search.chosen.effects else []
-    return [search.nominal, *chosen]
+    return Promise(0.0, [search.nominal, *chosen])
 
 
 # ---- steps
 
 
-def with_exact_steps(dataset: Dataset) -> Dataset:
-    """The dataset of a robot that moves in steps which leave nothing behind."""
-    return replace(dataset, model=replace(dataset.stated, simulator=EXACT_STEPS))
-
-
-def in_file_steps(ask: GoalsQuestion) -> GoalsQuestion:
-    """The question about the robot in the steps of its file."""
-    stated = replace(ask.dataset.stated, simulator=None)
-    return replace(ask, dataset=replace(ask.dataset, model=stated))
+def stepped_by(dataset: Dataset, simulator: str | None) -> Dataset:
+    """The dataset of a robot that moves in the steps of a simulator; None: in those of its file."""
+    return replace(dataset, model=replace(dataset.stated, simulator=simulator))
 
 
 def _steps_said(stated: Binding) -> str:
-    steps = stated.chain.mechanism.first_order_steps
-    return NO_STEPS.format(steps.said)
+    return NO_STEPS.format(stated.chain.mechanism.first_order_steps.said)
+
+
+def _sticking_said(stated: Binding) -> str:
+    return STICKS.format(stated.chain.mechanism.tree.tree.simulator.said)  # type: ignore[attr-defined]
 
 
 def delays_said(stated: Binding, named: Iterable[str]) -> list[str]:
@@ -154,39 +194,53 @@ def delays_said(stated: Binding, named: Iterable[str]) -> list[str]:
     return [EARLY.format(steps.said, 1e3 * steps.delay)]
 
 
-def _without_steps(decider: Decider, search: SearchResult) -> list[Hypothesis]:
-    """What was chosen, or that with fewer effects, whichever is most probable without what steps
-    leave behind, to first order and on the fit runs, if it is more so than what was chosen. Steps
-    that the dataset states stay.
+def _without_steps(decider: Decider, _: Decider, search: SearchResult) -> Promise:
+    """Without what the file's steps leave behind."""
+    if decider.bench.binding.chain.mechanism.first_order_steps is None:
+        return NOTHING
+
+    def apart(h: Hypothesis) -> np.ndarray:
+        return left_by_steps(decider.bench, h.path.problem, OutputError(), "fit", h.path.z)
+
+    return _promised(decider, search, apart)
+
+
+def _sticking(decider: Decider, other: Decider, search: SearchResult) -> Promise:
+    """In the steps of another simulator, where joints give way as a file says."""
+    if decider.bench.binding.chain.mechanism.own_step is None:
+        return NOTHING
+    runs = other.bench.runs(OutputError(), "fit")
+    return _promised(decider, search, lambda h: defects(h.path.problem, h.path.z, runs))
+
+
+def _promised(
+    decider: Decider, search: SearchResult, apart: Callable[[Hypothesis], np.ndarray]
+) -> Promise:
+    """What was chosen, or that with fewer effects, whichever is most probable once predictions are
+    `apart` by so much, to first order and on the fit runs, if it is more so than what was chosen.
     """
-    binding = decider.bench.binding
-    if (
-        binding.chain.mechanism.first_order_steps is None
-        or binding.dataset.stated.simulator is not None
-    ):
-        return []
     chosen = search.chosen
     fewer = [h for h in search.tried if set(h.effects) < set(chosen.effects)]
     found = [h for h in (search.nominal, *fewer, chosen) if np.isfinite(h.fit_loss)]
-    foreseen = [_evidence_without_steps(decider, h) for h in found]
+    foreseen = [_evidence_apart(decider, h, apart(h)) for h in found]
     if not foreseen:
-        return []
+        return NOTHING
     best = int(np.argmax(foreseen))
-    in_steps = decider.evidence(chosen, *squares_of(chosen.residuals))
-    return [found[best]] if foreseen[best] + RULE.log_prior > in_steps else []
+    as_stated = decider.evidence(chosen, *squares_of(chosen.residuals))
+    gained = foreseen[best] + RULE.log_prior - as_stated
+    return Promise(gained, [found[best]]) if gained > 0 else NOTHING
 
 
-def _evidence_without_steps(decider: Decider, h: Hypothesis) -> float:
-    """Log evidence of the fit runs once what the steps leave behind is taken off and the numbers
-    are re-tuned, to first order.
+def _evidence_apart(decider: Decider, h: Hypothesis, apart: np.ndarray) -> float:
+    """Log evidence of the fit runs once predictions are `apart` [samples columns] by so much and
+    the numbers are re-tuned, to first order.
     """
     problem, z = h.path.problem, h.path.z
-    left_behind = left_by_steps(decider.bench, problem, OutputError(), "fit", z)
     parts = list(rows([(problem, z)]))
     moved = []
     for part in parts:
         at = problem.runs.record(part.record).samples
-        moved.append(part.r + part.w * left_behind[at])
+        moved.append(part.r + part.w * apart[at])
     retuning = Retuning(parts, problem.size)
     remaining = retuning.remaining(np.concatenate([r.ravel() for r in moved]))
     ends = np.cumsum([r.size for r in moved])[:-1]
@@ -195,4 +249,15 @@ def _evidence_without_steps(decider: Decider, h: Hypothesis) -> float:
 
 
 HOLD = SimulationSetting(with_other_hold, _hold_said, _chosen_or_none)
-STEPS = SimulationSetting(with_exact_steps, _steps_said, _without_steps, at_once=True)
+STEPS = SimulationSetting(
+    changed=lambda dataset: stepped_by(dataset, EXACT_STEPS),
+    said=_steps_said,
+    promising=_without_steps,
+    at_once=True,
+)
+STICKING = SimulationSetting(
+    changed=lambda dataset: stepped_by(dataset, "own"),
+    said=_sticking_said,
+    promising=_sticking,
+    at_once=True,
+)

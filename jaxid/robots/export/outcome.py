@@ -243,9 +243,11 @@ def robot_entry(robot: Mapping[str, Any]) -> dict[str, Any]:
 
 def _simulator(simulator: Any) -> dict[str, Any]:
     """Whose steps a result's simulations took, and the numbers for the file's own steps."""
-    kind = simulator.get("kind") if isinstance(simulator, Mapping) else None
-    if kind not in ("mujoco", EXACT_STEPS):
+    if not isinstance(simulator, Mapping):
         return {"kind": "own"}
+    kind = simulator.get("kind")
+    if kind not in ("mujoco", EXACT_STEPS):
+        kind = "own"
     written = simulator.get("numbers") or {}
     if not written:
         return {"kind": kind}

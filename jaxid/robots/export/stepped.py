@@ -28,10 +28,11 @@ def stepped(found: ExportOutcome, sheet: Sheet) -> tuple[ExportOutcome, tuple[st
     """
     steps = sheet.tree.steps if sheet.tree is not None else None
     simulator = found.robot.get("simulator", {})
+    own = sheet.tree.simulator if sheet.tree is not None else None
+    if simulator.get("numbers") and own is not None:
+        return _in_its_steps(found, simulator["numbers"]), (FOLLOWS.format(own.said),)
     if steps is None or simulator.get("kind") == "mujoco":
         return found, ()
-    if simulator.get("numbers"):
-        return _in_its_steps(found, simulator["numbers"]), (FOLLOWS.format(steps.said),)
     stated = _stated(found)
     numbers = dict(found.parameters)
     for name, n in found.parameters.items():
