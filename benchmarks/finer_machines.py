@@ -32,8 +32,8 @@ from jaxid.benchmark.goal_arms import (  # noqa: E402
     goals,
     KINDS,
     limited,
+    MujocoSteps,
     recorded,
-    Solver,
     withheld,
 )
 
@@ -42,9 +42,9 @@ RESULTS = Path(__file__).with_name("results") / "finer_machines.jsonl"
 RATE, SECONDS, OFF = 250, 20.0, 0.1
 #: How a file steps: MuJoCo's own setting, a shorter and a longer step.
 FILES = (
-    Solver(step=2e-3, integrator="Euler", stiff=False),
-    Solver(step=1e-3, integrator="implicitfast", stiff=False),
-    Solver(step=4e-3, integrator="implicitfast", stiff=False),
+    MujocoSteps(step=2e-3, integrator="Euler", stiff=False),
+    MujocoSteps(step=1e-3, integrator="implicitfast", stiff=False),
+    MujocoSteps(step=4e-3, integrator="implicitfast", stiff=False),
 )
 
 

@@ -32,8 +32,8 @@ KINDS = (
 
 
 @dataclass(frozen=True)
-class Solver:
-    """How MuJoCo steps a model: seconds, its word for the integrator, whether dry friction is stiff."""
+class MujocoSteps:
+    """Seconds, MuJoCo's word for the integrator, and whether dry friction is stiff."""
 
     step: float = STEP
     integrator: str = "implicitfast"
@@ -53,7 +53,7 @@ class Solver:
 
 
 #: Steps so small that more of them change nothing that an encoder reads.
-FINE = Solver(step=1e-4, integrator="RK4")
+FINE = MujocoSteps(step=1e-4, integrator="RK4")
 
 
 @dataclass
@@ -70,7 +70,7 @@ class GoalArm:
     kv: np.ndarray
     limit: np.ndarray
     more: dict[str, Any] = field(default_factory=dict)  # what the recorded arm has beyond its file
-    solver: Solver = Solver()
+    solver: MujocoSteps = MujocoSteps()
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, n: int | None = None) -> GoalArm:
@@ -112,10 +112,9 @@ class GoalArm:
                 f'<geom name="floor" type="plane" size="2 2 0.1" pos="0 0 {self.more["floor"]}"/>'
             )
         gravity = " ".join(f"{v:.9g}" for v in self._gravity())
-        return (
-            f'<mujoco model="arm"><compiler angle="radian"/>{self.solver.xml(gravity)}<worldbody>{floor}{open_}'
-            f"{close}</worldbody><actuator>{actuators}</actuator></mujoco>"
-        )
+        head = f'<compiler angle="radian"/>{self.solver.xml(gravity)}'
+        world = f"<worldbody>{floor}{open_}{close}</worldbody>"
+        return f'<mujoco model="arm">{head}{world}<actuator>{actuators}</actuator></mujoco>'
 
     def _gravity(self) -> np.ndarray:
         roll, pitch = self.more.get("tilt", (0.0, 0.0))

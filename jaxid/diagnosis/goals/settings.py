@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -106,7 +107,7 @@ def otherwise(
     others = [setting.decider(ask, decider) for setting in settings]
     promises = [s.promising(decider, o, search) for s, o in zip(settings, others, strict=True)]
     order = sorted(range(len(settings)), key=lambda k: -promises[k].gained)
-    found = [h for promise in promises for h in promise.models]
+    found = list(chain.from_iterable(promise.models for promise in promises))
     if not found:
         return None
     ended = {id(h): _ended(decider, h) for h in (*found, search.chosen)}
@@ -183,7 +184,8 @@ def _steps_said(stated: Binding) -> str:
 
 
 def _sticking_said(stated: Binding) -> str:
-    return STICKS.format(stated.chain.mechanism.tree.tree.simulator.said)  # type: ignore[attr-defined]
+    tree = stated.chain.mechanism.tree.tree  # type: ignore[attr-defined]
+    return STICKS.format(tree.simulator.said)
 
 
 def delays_said(stated: Binding, named: Iterable[str]) -> list[str]:
