@@ -26,6 +26,8 @@ ARM = """<mujoco model="arm"><compiler angle="radian"/>
 <position name="a2" joint="elbow" kp="60" kv="1.5"/></actuator></mujoco>"""
 FILE = ARM.format(step=0.001, integrator="implicitfast", friction=0.05, mass=0.7)
 MACHINE = ARM.format(step=1e-4, integrator="RK4", friction=0.4, mass=0.82)
+HARD = '<default><joint solreffriction="2e-4 1" solimpfriction=".99 .9999 .001"/></default>'
+STICKING = MACHINE.replace("<worldbody>", f"{HARD}<worldbody>")
 JOINTS = ("shoulder", "elbow")
 RATE, SECONDS, NOISE = 100, 8.0, 1e-4
 
@@ -53,14 +55,18 @@ def goals(seed: int) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_what_steps_leave_behind_gets_no_name(tmp_path: Path):
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize(
+    ("machine", "simulator"), [(MACHINE, "mujoco_rk4"), (STICKING, "own")], ids=["soft", "hard"]
+)
+def test_what_steps_leave_behind_gets_no_name(tmp_path: Path, machine: str, simulator: str):
     """Numbers are the machine's, and those that are written follow it in the file's own steps."""
     file = tmp_path / "arm.xml"
     file.write_text(FILE)
     readings, wanted = [], [goals(seed) for seed in range(4)]
     for seed, u in enumerate(wanted):
         noise = NOISE * np.random.default_rng(10 + seed).standard_normal(u.shape)
-        readings.append(run_of(MACHINE, u) + noise)
+        readings.append(run_of(machine, u) + noise)
     t = np.arange(0, SECONDS, 1 / RATE)
     data = jaxid.Dataset.from_arrays(
         [t] * len(wanted),
@@ -72,7 +78,7 @@ def test_what_steps_leave_behind_gets_no_name(tmp_path: Path):
     )
     found = jaxid.diagnose(str(file), data)
     assert found.which.verdict == "none"
-    assert found.final.robot["simulator"]["kind"] == "mujoco_rk4"
+    assert found.final.robot["simulator"]["kind"] == simulator
     assert found.how_far.gap_after < 1.1
     new = goals(9)
     save_json(found, tmp_path / "diagnosis.json")
@@ -80,5 +86,5 @@ def test_what_steps_leave_behind_gets_no_name(tmp_path: Path):
     patched = export(content, "mjcf", robot=file).files["arm.xml"]
     apart = {}
     for which, text in (("file", FILE), ("patched", str(patched))):
-        apart[which] = np.sqrt(np.mean((run_of(text, new) - run_of(MACHINE, new)) ** 2))
+        apart[which] = np.sqrt(np.mean((run_of(text, new) - run_of(machine, new)) ** 2))
     assert apart["patched"] < apart["file"] / 20

@@ -32,6 +32,8 @@ STATED = "[controller]"
 NEEDED = ("CONSTRAINT", "FRICTIONLOSS", "LIMIT", "SPRING", "DAMPER", "ACTUATION")
 #: solref and solimp that a file gets that states none.
 SOLREF, SOLIMP = (0.02, 1.0), (0.9, 0.95, 0.001, 0.5, 2.0)
+#: solref and solimp of friction with which a joint holds 50 times better than with these.
+HARD_SOLREF, HARD_SOLIMP = (0.004, 1.0), (0.99, 0.9999, *SOLIMP[2:])
 
 #: Numbers of a joint, in the order of `jaxid.dynamics.soft_constraints.Slip` and `Stops`.
 FIELDS = (
@@ -75,6 +77,22 @@ class FileStep:
         """Arrays [joints] by the names of FIELDS; of joints of no file as MuJoCo's default."""
         rows = [self.joints.get(joint, self.default()) for joint in joints]
         return dict(zip(FIELDS, np.array(rows, np.float64).reshape(-1, len(FIELDS)).T, strict=True))
+
+    def hard(self, joint: str) -> tuple[float, float]:
+        """Rate and share of a joint's friction where it is hardened, or as it is where that is
+        harder.
+        """
+        rate, share, *_ = self.joints.get(joint, self.default())
+        hardened = joint_numbers(
+            friction=HARD_SOLREF,
+            friction_impedance=HARD_SOLIMP,
+            stop=SOLREF,
+            stop_impedance=SOLIMP,
+            ends=(-FAR, FAR),
+            margin=0.0,
+            quickest=2 * self.timestep,
+        )
+        return max(rate, hardened[0]), min(share, hardened[1])
 
     def default(self) -> tuple[float, ...]:
         """A joint without stops, as soft as MuJoCo has it where nothing is said."""

@@ -18,10 +18,14 @@ from jaxid.problem.binding import Binding
 def with_numbers_of_the_file(ask: GoalsQuestion, found: Diagnosis) -> Diagnosis:
     """The diagnosis of a machine that takes no steps, with what to write into its file: the same
     numbers and effects refitted in the file's own steps, as near to the machine's as the file's
-    are trusted. `ask`: the question in these steps.
+    are trusted; with hard friction, where the machine's joints stick. `ask`: the question in these
+    steps.
     """
     fit = found.final
+    sticks = fit.robot["simulator"]["kind"] == "own"
     binding = _about(ask.known([e.effect for e in fit.effects]), fit)
+    if sticks:
+        binding = _hardened(binding)
     decider = Decider(ask.made(binding), binding.layout.names, ask.progress)
     chosen = decider.refit(_candidates(binding, fit), binding.theta)
     chosen = decider.settled(decider.polished(chosen))
@@ -32,7 +36,7 @@ def with_numbers_of_the_file(ask: GoalsQuestion, found: Diagnosis) -> Diagnosis:
     for effect in fit.effects:
         for i, field in _fields(binding, effect):
             written[f"{effect.effect}.{field}@{effect.location}"] = float(chosen.theta[i])
-    simulator = {**fit.robot["simulator"], "numbers": written}
+    simulator = {**fit.robot["simulator"], "numbers": written, "hard": sticks}
     return replace(found, final=replace(fit, robot={**fit.robot, "simulator": simulator}))
 
 
@@ -59,6 +63,17 @@ def _about(binding: Binding, fit: Fit) -> Binding:
         theta[i] = np.clip(value, binding.lower[i], binding.upper[i])
     priors = {i: (float(theta[i]), std) for i, (_, std) in binding.priors.items()}
     return replace(binding, theta=theta, priors=priors)
+
+
+def _hardened(binding: Binding) -> Binding:
+    """The binding with dry friction as hard as an export can make it."""
+    theta = binding.theta.copy()
+    step = binding.chain.mechanism.tree.tree.simulator  # type: ignore[attr-defined]
+    for joint in binding.chain.signature.joints:
+        rate, share = step.hard(joint)
+        theta[binding.layout.index(f"slip_rate@{joint}")] = rate
+        theta[binding.layout.index(f"slip_share@{joint}")] = share
+    return replace(binding, theta=theta)
 
 
 def _candidates(binding: Binding, fit: Fit) -> list[Candidate]:

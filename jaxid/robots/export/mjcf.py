@@ -52,9 +52,9 @@ CALLBACK = "effects.py"
 def write(
     sheet: Sheet, found: ExportOutcome, path: Path | None, trial: Trial | None = None
 ) -> Written:
-    """The patched file, `apply.py`, and `effects.py` for laws that no attribute says. What nothing
-    asked for (how hard friction is) is written only where the recording is nearer with it in
-    MuJoCo, which `trial` says.
+    """The patched file, `apply.py`, and `effects.py` for laws that no attribute says. How hard
+    friction is, is written where the result's numbers are those with hard friction, or else the
+    recording is nearer with it in MuJoCo, which `trial` says.
     """
     if path is None:
         return snippet(sheet, found)
@@ -70,6 +70,8 @@ def write(
     ]
     if not stick or path.name not in out.files:
         return out
+    if found.robot.get("simulator", {}).get("hard"):
+        return patch(frozenset(stick))
     if trial is None:
         out.notes.append(UNTRIED)
         return out

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from jaxid.robots.export.target import APPROXIMATE, Field
+from jaxid.robots.file_step import HARD_SOLIMP, HARD_SOLREF
 
 
-#: With these a joint holds 50 times better than with the defaults.
-HOLDS = {"solreffriction": "0.004 1", "solimpfriction": "0.99 0.9999"}
+#: What makes friction hard; the rest of solimp says nothing at the distance of zero where it acts.
+HOLDS = {
+    "solreffriction": " ".join(f"{number:g}" for number in HARD_SOLREF),
+    "solimpfriction": " ".join(f"{number:g}" for number in HARD_SOLIMP[:2]),
+}
 SOFT = (
     "a soft constraint in MuJoCo: with solreffriction and solimpfriction as set here it creeps by"
     " less than 1e-4 rad/s, and the recording is nearer with them"

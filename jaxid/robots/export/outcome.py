@@ -256,6 +256,7 @@ def _simulator(simulator: Any) -> dict[str, Any]:
     return {
         "kind": kind,
         "numbers": {_name(k, "numbers"): number(k, v) for k, v in written.items()},
+        "hard": simulator.get("hard") is True,
     }
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 from jaxid.robots.export.law_code import own_number
 from jaxid.robots.export.outcome import ExportOutcome, Named, Number, tables
@@ -30,7 +31,7 @@ def stepped(found: ExportOutcome, sheet: Sheet) -> tuple[ExportOutcome, tuple[st
     simulator = found.robot.get("simulator", {})
     own = sheet.tree.simulator if sheet.tree is not None else None
     if simulator.get("numbers") and own is not None:
-        return _in_its_steps(found, simulator["numbers"]), (FOLLOWS.format(own.said),)
+        return _in_its_steps(found, simulator), (FOLLOWS.format(own.said),)
     if steps is None or simulator.get("kind") == "mujoco":
         return found, ()
     stated = _stated(found)
@@ -52,9 +53,9 @@ def stepped(found: ExportOutcome, sheet: Sheet) -> tuple[ExportOutcome, tuple[st
     return replace(found, parameters=numbers, effects=effects), (note,) if changed else ()
 
 
-def _in_its_steps(found: ExportOutcome, written: Mapping[str, float]) -> ExportOutcome:
+def _in_its_steps(found: ExportOutcome, simulator: Mapping[str, Any]) -> ExportOutcome:
     """The result with numbers that were fitted in the file's own steps."""
-    parameters = {}
+    written, parameters = simulator["numbers"], {}
     for name, n in found.parameters.items():
         parameters[name] = replace(n, value=written.get(name, n.value))
     effects = []
@@ -64,7 +65,7 @@ def _in_its_steps(found: ExportOutcome, written: Mapping[str, float]) -> ExportO
             own = f"{e.effect}.{field}@{e.location}"
             numbers[field] = replace(n, value=written.get(own, n.value))
         effects.append(replace(e, numbers=numbers))
-    robot = {**found.robot, "simulator": {"kind": "mujoco"}}
+    robot = {**found.robot, "simulator": {"kind": "mujoco", "hard": simulator.get("hard", False)}}
     return replace(found, parameters=parameters, effects=tuple(effects), robot=robot)
 
 
