@@ -68,14 +68,14 @@ class SimulationSetting:
         """Whether it explains what a claim has to, beside what was chosen or in its place, and is
         more probable than what was chosen.
         """
-        if not search.chosen.effects and decider.at_noise(search.chosen):
+        if not search.chosen.effects and search.chosen.at_noise:
             return False
         found = self.promising(decider, search)
         if not found:
             return False
         ended = {id(h): _ended(decider, h) for h in (*found, search.chosen)}
         chosen = ended[id(search.chosen)]
-        if not chosen.effects and decider.at_noise(chosen):
+        if not chosen.effects and chosen.at_noise:
             return False
         other = replace(decider, bench=self._bench(ask, decider))
         claimed = any(_claimed(decider, other, ended[id(h)], chosen) for h in found)
@@ -93,7 +93,7 @@ class SimulationSetting:
 
 def _ended(decider: Decider, h: Hypothesis) -> Hypothesis:
     """A model whose descent has ended: what it leaves is not for want of iterations."""
-    return h if decider.at_noise(h) else decider.polished(h)
+    return h if h.at_noise else decider.polished(h)
 
 
 def _claimed(decider: Decider, other: Decider, h: Hypothesis, chosen: Hypothesis) -> bool:
