@@ -2,7 +2,8 @@
 
 import importlib
 from dataclasses import replace
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,9 +12,12 @@ import pytest
 import jaxid
 from jaxid.conventions import checking
 from jaxid.data.dataset import ModelSpec
+from jaxid.diagnosis.evidence import HeldOut
 from jaxid.diagnosis.goals.gains import with_room
 from jaxid.diagnosis.goals.search import Decider
-from jaxid.diagnosis.goals.touching import _of_numbers, Trial
+from jaxid.diagnosis.goals.touching import _Judge, _of_numbers, Trial
+from jaxid.diagnosis.hypothesis import Hypothesis, SearchResult
+from jaxid.diagnosis.verdict import judge
 from jaxid.dynamics import catalogue
 from jaxid.fitting import problem_builder
 from jaxid.fitting.problem_builder import (
@@ -145,6 +149,48 @@ def test_how_runs_begin_is_taken_over_by_a_model_with_candidates(monkeypatch):
     late[-1] += 1e-3
     estimate_starts(wide, "fit", [late])
     assert len(asked) == 2
+    back = ProblemBuilder(bind(robot(), data), differences=1)
+    back.begin_as(wide)  # but for the late one, which it has no number for
+    assert len(back.begun_before("fit")) == 1
+    estimate_starts(back, "fit", [back.binding.theta])
+    assert len(asked) == 2
+
+
+def test_a_run_begins_as_with_the_model_that_is_nearest(monkeypatch):
+    left = {0.1: np.full(50, 9.0), 0.2: np.full(50, 0.9), 0.3: np.full(50, 1.0)}
+    left[0.4] = np.full(50, np.nan)
+    monkeypatch.setattr(
+        problem_builder, "residuals", lambda p, points: [left[z[0]] for z in points]
+    )
+    every: Any = [np.array([z]) for z in left]
+    assert problem_builder._nearest(cast(Any, None), every) is every[1]
+    assert problem_builder._nearest(cast(Any, None), [every[0], every[3]]) is None
+    assert problem_builder._nearest(cast(Any, None), []) is None
+
+
+def test_late_commands_are_asked_by_whole_steps_too():
+    kinds = [catalogue.effect_class("input_delay")]
+    bench = ProblemBuilder(bind(robot(), recorded(TEXT, 1.0), candidates=kinds), differences=1)
+    binding = bench.binding
+    starts = np.zeros((1, 8))
+    trials = _Judge(bench, binding.theta, [], starts)
+    late, other = binding.layout.index("input_delay.delay@hip_cmd"), 0
+    theta = binding.theta.copy()
+    theta[late] = 0.0047
+    trial = Trial(theta=theta, stated=binding.theta, kind="effect", strengths=(late,))
+    (whole,) = trials._in_whole_steps(trial)
+    assert whole.theta[late] == pytest.approx(2 * STEP)
+    assert not trials._in_whole_steps(replace(trial, strengths=(other,)))
+
+
+def test_a_run_that_touches_is_at_the_noise_within_what_is_left_open():
+    path: Any = SimpleNamespace(loss=1.0, count=1000)
+    lost = Hypothesis((), np.zeros(1), path, HeldOut([], [], loss=3.0, count=1000))
+    assert not lost.at_noise
+    assert judge(SearchResult(lost, lost)).name == "unknown"
+    open_to_it = replace(lost, left_open={"fit": 0.0, "validation": 2.5})
+    assert open_to_it.at_noise
+    assert judge(SearchResult(open_to_it, open_to_it)).name == "none"
 
 
 @pytest.mark.slow

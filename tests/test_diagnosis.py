@@ -835,10 +835,8 @@ def leaving(fit_loss: float, loss: float, *effects: str) -> Any:
     """What a verdict sees of a hypothesis that leaves these mean squares of fit and validation
     runs.
     """
-    path, held = SimpleNamespace(count=4000), SimpleNamespace(loss=loss, count=4000)
-    return SimpleNamespace(
-        effects=effects, size=len(effects), fit_loss=fit_loss, path=path, validation=held
-    )
+    path: Any = SimpleNamespace(loss=fit_loss, count=4000)
+    return Hypothesis(cast(Any, effects), np.zeros(0), path, HeldOut([], [], loss, 4000))
 
 
 @pytest.mark.parametrize(
@@ -875,11 +873,9 @@ def test_where_an_encoder_counts_from_within_a_step_is_no_gap(zeros, wave, verdi
     ]
     residual = [np.sqrt(12) * e for e in error]
     loss = float(np.mean(np.square(residual)))
-    path = SimpleNamespace(count=4000)
-    held = SimpleNamespace(loss=loss, count=4000, settled=residual)
-    model: Any = SimpleNamespace(
-        effects=(), size=0, fit_loss=loss, path=path, validation=held, residuals=residual
-    )
+    path: Any = SimpleNamespace(loss=loss, count=4000)
+    model: Any = Hypothesis((), np.zeros(0), path, HeldOut([], residual, loss, 4000))
+    model.residuals = residual
     assert judge(SearchResult(model, model), np.array([True])).name == verdict
     assert judge(SearchResult(model, model)).name == (
         "none" if loss < 1.2 else "unknown"

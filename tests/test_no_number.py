@@ -15,7 +15,6 @@ from jaxid.diagnosis import where
 from jaxid.diagnosis.budget import budget, closed
 from jaxid.diagnosis.goals.as_stated import Alone
 from jaxid.diagnosis.goals.own_run import FileRun
-from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.how_far import not_measured
 from jaxid.diagnosis.hypothesis import SearchResult
 from jaxid.diagnosis.probability import RULE
@@ -353,9 +352,8 @@ def test_no_reading_is_claimed_by_what_is_no_number(bad):
 
 @pytest.mark.parametrize("bad", NONE)
 def test_under_goals_nothing_is_decided_by_what_is_no_number(bad):
-    decider = Decider(cast(Any, None), ["a"])
     for losses in ((bad, 1.0), (1.0, bad)):
-        assert not decider.at_noise(cast(Any, hypothesis(*losses)))
+        assert not hypothesis(*losses).at_noise
     one: Any = SimpleNamespace(sigma=np.ones(1))
     run = FileRun({"fit": [np.full((5, 1), bad)]})
     assert not run.accounts(one)

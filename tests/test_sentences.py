@@ -8,7 +8,7 @@ import json
 import re
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from hypothesis import given, settings, strategies as st
@@ -17,7 +17,8 @@ from pytest import MonkeyPatch
 from jaxid.base import wording
 from jaxid.base.serialise import finite
 from jaxid.diagnosis.breakdown import Share
-from jaxid.diagnosis.hypothesis import SearchResult
+from jaxid.diagnosis.evidence import HeldOut
+from jaxid.diagnosis.hypothesis import Hypothesis, SearchResult
 from jaxid.diagnosis.next_experiment import advice
 from jaxid.diagnosis.reasons import FollowsFitRuns, Lacks, LacksInPart, Remark, ReportNotReached
 from jaxid.diagnosis.result import ChannelGap, Finding, HowFar, Ranked, Which
@@ -41,10 +42,8 @@ def hypothesis(fit_loss: float, loss: float, *effects: str) -> Any:
     """What a verdict sees of a hypothesis that leaves these mean squares of fit and validation
     runs.
     """
-    path, held = SimpleNamespace(count=4000), SimpleNamespace(loss=loss, count=4000)
-    return SimpleNamespace(
-        effects=effects, size=len(effects), fit_loss=fit_loss, path=path, validation=held
-    )
+    path: Any = SimpleNamespace(loss=fit_loss, count=4000)
+    return Hypothesis(cast(Any, effects), np.zeros(0), path, HeldOut([], [], loss, 4000))
 
 
 def check_numbers(words: str) -> None:

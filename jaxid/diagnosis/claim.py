@@ -11,6 +11,7 @@ from jaxid.diagnosis import how_far as shrinking
 from jaxid.diagnosis.evidence import held_out, knowledge
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
 from jaxid.diagnosis.jitter import Scatter
+from jaxid.diagnosis.left_open import left_open_in
 from jaxid.diagnosis.reasons import (
     CutShort,
     NextToTheNoise,
@@ -21,7 +22,7 @@ from jaxid.diagnosis.reasons import (
 from jaxid.diagnosis.result import HowFar
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import astray, Gaps, judge, upheld, Verdict
-from jaxid.fitting.problem_builder import ProblemBuilder
+from jaxid.fitting.problem_builder import ProblemBuilder, touches
 from jaxid.problem.residual import Residual
 
 
@@ -158,9 +159,11 @@ class Judge:
             [knowledge(path)],
             [None if self.repeated else path],
         )[0]
-        places = astray(
-            *shrinking.parts(self.bench, self.residual, "report", within), within.gap_settled
-        )
-        if not places and within.gap_settled <= LIMITS.near:
+        room = 0.0
+        if touches(self.bench.binding):
+            room = left_open_in(self.bench, found.final, "report")
+        runs, regimes = shrinking.parts(self.bench, self.residual, "report", within)
+        places = astray(runs, regimes, within.gap_settled, room)
+        if not places and within.gap_settled**2 <= LIMITS.near**2 + room:
             return found
         return self._claim(Verdict("unknown", (ReportNotReached(far.gap_retuned, tuple(places)),)))

@@ -12,7 +12,7 @@ import numpy as np
 from jaxid.base.errors import UsageError
 from jaxid.base.wording import names_of
 from jaxid.diagnosis.belief import Belief
-from jaxid.diagnosis.evidence import HeldOut, memory
+from jaxid.diagnosis.evidence import HeldOut, level, memory
 from jaxid.diagnosis.torque.library import shows
 from jaxid.dynamics import catalogue
 from jaxid.dynamics.chain import Chain
@@ -40,16 +40,30 @@ class Candidate:
 
 @dataclass
 class Hypothesis:
-    """A set of effects with the model refitted to it, and what it predicts."""
+    """A set of effects with the model refitted to it, and what it predicts. `left_open`: mean
+    square over the noise by which runs that touch move within what the fit leaves open, by split.
+    """
 
     effects: tuple[Candidate, ...]
     theta: np.ndarray
     path: Path
     validation: HeldOut
+    left_open: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def fit_loss(self) -> float:
         return self.path.loss
+
+    @property
+    def at_noise(self) -> bool:
+        """Whether fit and validation runs are followed to the noise."""
+        fit = level(self.path.count) + self.left_open.get("fit", 0.0)
+        return bool(self.fit_loss <= fit) and self.validation_at_noise
+
+    @property
+    def validation_at_noise(self) -> bool:
+        allowed = level(self.validation.count) + self.left_open.get("validation", 0.0)
+        return bool(self.validation.loss <= allowed)
 
     @cached_property
     def residuals(self) -> list[np.ndarray]:

@@ -8,6 +8,7 @@ withdraw what does not hold on them. A wrong name costs a user more than an hone
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -125,8 +126,7 @@ def judge(search: SearchResult, counted: np.ndarray | None = None) -> Verdict:
 
 def _nothing_chosen(search: SearchResult, gap: float) -> Verdict:
     nominal, hints = search.nominal, possible(search.belief)
-    chose_at_noise = nominal.validation.loss <= level(nominal.validation.count)
-    if chose_at_noise and nominal.fit_loss <= level(nominal.path.count):
+    if nominal.at_noise:
         return Verdict("none", (AtTheNoise(), *hints))
     return Verdict("unknown", (NothingExplains(gap), *_nearer(search), *hints))
 
@@ -138,11 +138,10 @@ def _chosen(search: SearchResult) -> Verdict:
     left = float(np.sqrt(max(chosen.validation.loss, 1.0)))
     closed = share_closed(nominal.validation.loss, chosen.validation.loss)
     followed = share_closed(nominal.fit_loss, chosen.fit_loss)
-    at_the_noise = chosen.validation.loss <= level(chosen.validation.count)
     fits = followed >= LIMITS.named or chosen.fit_loss <= LIMITS.left**2
     # Several that leave more than the noise may together only come close to something else.
     several_leave_much = search.several and max(left, np.sqrt(chosen.fit_loss)) > LIMITS.left
-    if at_the_noise or (closed >= LIMITS.named and fits and not several_leave_much):
+    if chosen.validation_at_noise or (closed >= LIMITS.named and fits and not several_leave_much):
         return Verdict("named", (Lacks(names, left), *each))
     # What is claimed with a probability need not account for most of a gap.
     if closed > 0:
@@ -227,18 +226,20 @@ def upheld(verdict: Verdict, gaps: Gaps, several: bool = False) -> Verdict:
 
 
 def astray(
-    runs: Sequence[Share], regimes: Sequence[Share], whole: float
+    runs: Sequence[Share], regimes: Sequence[Share], whole: float, room: float = 0.0
 ) -> list[tuple[str, float]]:
     """Where the re-tuned model is not near the noise on report data, worst first: (run, or
-    direction of a joint, times the noise); `whole` is what all of them leave.
+    direction of a joint, times the noise); `whole` is what all of them leave, `room` the mean
+    square over the noise that is left open.
     """
+    most = math.sqrt(LIMITS.left**2 + room)
     found = [(s.part, s.retuned) for s in runs]
     for s in regimes:
         if s.part in ("forward", "backward"):
             found.append((f"{s.joint} moving {s.part}s", s.retuned))
     if not found:
         found = [("all report runs", whole)]
-    far = [(place, gap) for place, gap in found if not gap <= LIMITS.left]
+    far = [(place, gap) for place, gap in found if not gap <= most]
     return sorted(far, key=lambda place: -np.nan_to_num(place[1], nan=np.inf))
 
 

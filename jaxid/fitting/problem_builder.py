@@ -201,21 +201,24 @@ class ProblemBuilder:
             self._begun |= dict(zip(new, begun, strict=True))
         return [self._begun[key] for key in keys]
 
-    def begun_last(self, split: str) -> Begun | None:
-        """How the runs of a split begin with the model that was asked last; None: with none yet."""
-        known = [begun for (name, _), begun in self._begun.items() if name == split]
-        return known[-1] if known else None
+    def begun_before(self, split: str) -> list[Begun]:
+        """How the runs of a split begin with all models that were asked so far."""
+        return [begun for (name, _), begun in self._begun.items() if name == split]
 
     def begin_as(self, other: ProblemBuilder) -> None:
-        """Takes over how runs begin by models of another builder, whose candidates do nothing
-        here.
+        """Takes over how runs begin by models of another builder: those in which candidates that
+        are not here do nothing; candidates that are here alone do nothing in them.
         """
         mine, names = self.binding.layout, other.binding.layout.names
-        at = [mine.index(name) for name in names]
+        here = np.isin(names, mine.names)
+        at = [mine.index(name) for name, shared in zip(names, here, strict=True) if shared]
+        neutral = other.binding.theta
         for (split, numbers), begun in other._begun.items():
-            theta = self.binding.theta.copy()
-            theta[at] = np.frombuffer(numbers)
-            self._begun[split, theta.tobytes()] = begun
+            own = np.frombuffer(numbers)
+            if np.array_equal(own[~here], neutral[~here]):
+                theta = self.binding.theta.copy()
+                theta[at] = own[here]
+                self._begun[split, theta.tobytes()] = begun
 
     def simulated(self) -> int:
         """Steps that were simulated so far, those of all candidates."""
@@ -342,14 +345,14 @@ def touches(binding: Binding) -> bool:
 def _begun_touching(bench: ProblemBuilder, split: str, theta: np.ndarray) -> Begun:
     """The start is fitted to the whole of a run: from that of another model, where it is near."""
     starts, information = [], []
-    runs, before = bench.runs(OutputError(), split), bench.begun_last(split)
+    runs, before = bench.runs(OutputError(), split), bench.begun_before(split)
     for run in range(len(runs.heads)):
         path = None
-        if before is not None:
-            p = bench.problem(OutputError(), split, [], theta, [runs.records[run]])
-            z = p.z(theta, before.starts[run][None])
-            if _followed(p, z):
-                path, _ = descend_widely(p, z, ROUNDS)
+        p = bench.problem(OutputError(), split, [], theta, [runs.records[run]])
+        known = [p.z(theta, begun.starts[run][None]) for begun in before]
+        near = _nearest(p, known)
+        if near is not None:
+            path, _ = descend_widely(p, near, ROUNDS)
         if path is None:
             path, _ = descend_over_stretches(bench, split, [], theta, [run])
         assert path.hessian is not None
@@ -404,12 +407,15 @@ def _begun_on(p: FitProblem, z: np.ndarray, known: bool) -> tuple[Path, int]:
     """How runs begin by a stretch, roughly, from z, and how many times it was simulated; where
     that is `known` and followed, z itself.
     """
-    rounds = 0 if known and _followed(p, z) else ROUNDS
+    rounds = 0 if known and _nearest(p, [z]) is not None else ROUNDS
     return descend_widely(p, z, rounds, ROUGHLY)
 
 
-def _followed(p: FitProblem, z: np.ndarray) -> bool:
-    """Whether a stretch is followed to its noise, within what chance makes of it."""
-    (left,) = residuals(p, [z])
+def _nearest(p: FitProblem, known: Sequence[np.ndarray]) -> np.ndarray | None:
+    """The z that follows the runs best, where it does so to their noise; None where none does."""
+    if not known:
+        return None
     with np.errstate(all="ignore"):
-        return is_noise(float(left @ left), left.size)
+        found = [(float(r @ r), r.size, z) for r, z in zip(residuals(p, known), known, strict=True)]
+    followed = [(squares, z) for squares, count, z in found if is_noise(squares, count)]
+    return min(followed, key=lambda pair: pair[0])[1] if followed else None

@@ -80,18 +80,18 @@ class Alone:
                 continue
             h = self.decider.refit(own, theta, self.stands.path)
             out.append(h)
-            if self.decider.at_noise(h):
-                self.decider.most = LIMITS.far
+            if h.at_noise:
+                self.decider.most = LIMITS.left**2
             if not change.index and joint_loss(h) < least_left:
                 self.nearest, least_left = change, joint_loss(h)
         self.decider.most = np.inf
         out = [h for h in out if np.isfinite(joint_loss(h))]
-        if out and not any(map(self.decider.at_noise, out)):
+        if out and not any(h.at_noise for h in out):
             nearest = min(out, key=joint_loss)
             out = [self.decider.polished(h) if h is nearest else h for h in out]
         self.tried = [h for h in out if not self.of_numbers(h)]
         self._asked = out
-        good = [h for h in out if self.decider.at_noise(h)]
+        good = [h for h in out if h.at_noise]
         least = min(map(joint_loss, good), default=0.0)
         near = [h for h in good if joint_loss(h) < LIMITS.alike * max(1.0, least)]
         fewest = min(map(self.numbers, near), default=0)
@@ -138,7 +138,7 @@ class Alone:
         tried = list(self.tried)
         chosen = self.decider.thinned(self.stands, enough[0], tried)
         more = self.evidence(nominal) - self.evidence(chosen)
-        if self.decider.at_noise(nominal) and more < LIMITS.decisive:
+        if nominal.at_noise and more < LIMITS.decisive:
             self.as_likely = nominal
             as_few = self.numbers(nominal) <= self.numbers(chosen)
             if as_few or more < -LIMITS.decisive:

@@ -66,12 +66,12 @@ def with_what_is_still_missing(
             surely = last
         if not last.found:
             break
-    end = last if last.decider.at_noise(last.search.chosen) else surely
+    end = last if last.search.chosen.at_noise else surely
     return end.decider, end.search
 
 
 def _leaves_more(ask: GoalsQuestion, so_far: _Further) -> bool:
-    if so_far.decider.at_noise(so_far.search.chosen):
+    if so_far.search.chosen.at_noise:
         return False
     return len(_kinds(so_far.search.chosen.effects)) < ask.max_effects
 
@@ -204,7 +204,7 @@ def _as_it_stands(
     to the noise.
     """
     asked = _nothing(so_far, proposed, wider.sure)
-    if not wider.at_noise(stands):
+    if not stands.at_noise:
         return asked
     wider.sure |= so_far.decider.certain(stands.effects)
     return replace(

@@ -248,7 +248,8 @@ def _touching(ask: GoalsQuestion, binding: Binding, seed: int, began: float) -> 
     )
     stated.ask(lambda: begun_as(alone), ask.progress)
     if stated.begin is not None:
-        road.like = stated.enough[0].path
+        road.retuned = stated.enough[0]
+    road.begun = stated.alone.decider.bench if stated.alone is not None else bench
     if stated.explains:
         found, notes = _as_stated(ask, road, stated, alone, only=stated.moved)
     else:
@@ -362,7 +363,8 @@ class _Road:
     seed: int
     began: float
     settings: Sequence[SimulationSetting] = ()  # that may be otherwise than stated
-    like: Path | None = None  # what the re-tuned model begins as, where that is known
+    retuned: Hypothesis | None = None  # the re-tuned model, where another bench fitted it
+    begun: ProblemBuilder | None = None  # of models whose runs begin alike
 
     def __call__(
         self,
@@ -370,9 +372,14 @@ class _Road:
         offer: Offer,
         decide: Decide,
     ) -> SearchOutcome:
+        if self.begun is not None:
+            bench.begin_as(self.begun)
         first = Decider(bench, self.names, self.ask.progress)
         theta = as_vector(bench.binding, self.names, self.bare)
-        nominal = first.refit((), theta, self.like)
+        if self.retuned is None:
+            nominal = first.refit((), theta)
+        else:
+            nominal = first.taken_over(self.retuned)
         search = SearchResult(nominal, nominal)
         offer(lambda: self._fitted(first, nominal.path), search)
         self.question(first, search, [s for s in self.settings if s.at_once])

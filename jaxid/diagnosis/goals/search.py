@@ -10,9 +10,9 @@ import numpy as np
 
 from jaxid.diagnosis.belief import Belief, EffectFamily
 from jaxid.diagnosis.evidence import held_out, HeldOut, knowledge, level
-from jaxid.diagnosis.goals.left_open import left_open
 from jaxid.diagnosis.goals.propose import as_vector, candidates_of, ProposedSets
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
+from jaxid.diagnosis.left_open import left_open
 from jaxid.diagnosis.probability import log_evidence, normalised, RULE
 from jaxid.diagnosis.selection import in_lead, joint_loss
 from jaxid.diagnosis.torque.weigh import LARGEST, TOGETHER
@@ -107,21 +107,34 @@ class Decider:
         every = range(len(p.records))
         return descend_over_stretches(self.bench, "fit", p.free, p.base, every, self.most)
 
+    def taken_over(self, h: Hypothesis) -> Hypothesis:
+        """A model of another bench with the same numbers free, as the nominal model of this one:
+        its effects are numbers of the model.
+        """
+        bench, own = self.bench, h.path
+        named = dict(zip(own.problem.runs.layout.names, h.theta, strict=True))
+        theta = np.array([named[name] for name in bench.binding.layout.names])
+        p = bench.problem(OutputError(), "fit", bench.binding.free, theta)
+        path = replace(own, problem=p, z=p.z(theta, own.problem.starts(own.z)))
+        return replace(h, effects=(), theta=theta, path=path)
+
     def polished(self, h: Hypothesis) -> Hypothesis:
         """The same from where its descent ended, with slopes of its own: those of another model
         lead only so far.
         """
-        path, spent = self._from("fit", h.path.problem, h.path.z)
+        path, spent = self._from(h, "fit", h.path.problem, h.path.z)
         self.evaluations += spent
         return self._judged(h.effects, path)
 
-    def _from(self, split: str, p: FitProblem, z: np.ndarray) -> tuple[Path, int]:
-        """A descent from z with slopes of its own, and how often the runs were simulated."""
+    def _from(self, h: Hypothesis, split: str, p: FitProblem, z: np.ndarray) -> tuple[Path, int]:
+        """A descent of a model from z with slopes of its own, and how often the runs were
+        simulated. Runs that touch are not followed nearer than the model leaves them open.
+        """
         if not touches(self.bench.binding):
             path, _, spent = descend_on_secants(p, [z], None, *NEAR)
             return path, spent
         near, spent = descend_widely(p, z, TOUCHING)
-        if near.loss <= level(near.count):
+        if near.loss <= level(near.count) + max(h.left_open.values(), default=0.0):
             return near, spent
         theta, every = p.theta(near.z), range(len(p.records))
         again, more = descend_over_stretches(self.bench, split, p.free, theta, every)
@@ -135,7 +148,7 @@ class Decider:
         """
         before = self.bench.binding.inflation
         once = self._counted(h, 1.0)
-        if self.at_noise(once):
+        if once.at_noise:
             return once
         if once.fit_inflation < before:
             return self._counted(once, once.fit_inflation)
@@ -195,6 +208,8 @@ class Decider:
             return Hypothesis(tuple(effects), theta, path, HeldOut([], [], np.inf, 0))
         (held,) = held_out(self.bench, "validation", [theta], OutputError(), [knowledge(path)])
         found = Hypothesis(tuple(effects), theta, path, held)
+        if touches(self.bench.binding) and not found.at_noise and np.isfinite(joint_loss(found)):
+            found = replace(found, left_open=left_open(self.bench, found))
         if effects:
             self.lead = [min([*self.lead, found], key=joint_loss)]
         return found
@@ -208,9 +223,9 @@ class Decider:
             return h
         p = bench.problem(OutputError(), "fit+validation", own.free, h.theta)
         starts = [own.starts(h.path.z), estimate_starts(bench, "validation", [h.theta])[0]]
-        path, spent = self._from("fit+validation", p, p.z(h.theta, np.concatenate(starts)))
+        path, spent = self._from(h, "fit+validation", p, p.z(h.theta, np.concatenate(starts)))
         self.evaluations += spent
-        return Hypothesis(h.effects, p.theta(path.z), path, h.validation)
+        return replace(h, theta=p.theta(path.z), path=path)
 
     def decided(self, nominal: Hypothesis, proposed: ProposedSets) -> SearchResult:
         """Of the sets that were proposed the one that simulations bear out; its effects taken back
@@ -312,7 +327,7 @@ class Decider:
         """What columns told of effects beside what was chosen is refuted where that is at the
         noise.
         """
-        if search.belief is None or not self.at_noise(search.chosen):
+        if search.belief is None or not search.chosen.at_noise:
             return search
         named = [(c.effect, c.location) for c in search.chosen.effects]
         belief = search.belief.at_the_noise(self.sure, named)
@@ -326,16 +341,6 @@ class Decider:
         """How probable simulations make each of some effects."""
         places = [(c.effect, c.location) for c in effects]
         return {place: self.sure.get(place, 1.0) for place in places}
-
-    def at_noise(self, h: Hypothesis) -> bool:
-        left = {"fit": h.fit_loss, "validation": h.validation.loss}
-        allowed = {"fit": level(h.path.count), "validation": level(h.validation.count)}
-        known = np.isfinite(list(left.values())).all()
-        over = any(left[split] > allowed[split] for split in left)
-        if known and over and touches(self.bench.binding):
-            for split, moved in left_open(self.bench, h).items():
-                allowed[split] += moved
-        return all(left[split] <= allowed[split] for split in left)
 
     def compared(self, won: Hypothesis, tried: Sequence[Hypothesis]) -> None:
         """How probable effects are, of the set that won and of all others that were simulated

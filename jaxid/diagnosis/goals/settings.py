@@ -102,7 +102,7 @@ def otherwise(
     """The first of some settings, from the most promising on, with which a model explains what a
     claim has to, beside what was chosen or in its place, and is more probable than that.
     """
-    if not search.chosen.effects and decider.at_noise(search.chosen):
+    if not search.chosen.effects and search.chosen.at_noise:
         return None
     others = [setting.decider(ask, decider) for setting in settings]
     promises = [s.promising(decider, o, search) for s, o in zip(settings, others, strict=True)]
@@ -112,7 +112,7 @@ def otherwise(
         return None
     ended = {id(h): _ended(decider, h) for h in (*found, search.chosen)}
     chosen = ended[id(search.chosen)]
-    if not chosen.effects and decider.at_noise(chosen):
+    if not chosen.effects and chosen.at_noise:
         return None
     for k in order:
         models = [ended[id(h)] for h in promises[k].models]
@@ -137,7 +137,7 @@ NOTHING = Promise(0.0, ())
 
 def _ended(decider: Decider, h: Hypothesis) -> Hypothesis:
     """A model whose descent has ended: what it leaves is not for want of iterations."""
-    return h if decider.at_noise(h) else decider.polished(h)
+    return h if h.at_noise else decider.polished(h)
 
 
 def _claimed(decider: Decider, other: Decider, h: Hypothesis, chosen: Hypothesis) -> bool:

@@ -191,6 +191,9 @@ class _Judge:
             heads = [nested[stretch] for nested in bench.runs(OutputError(), "fit").heads]
         p = bench.problem(OutputError(), "fit", free, theta, heads)
         self.bounds = bench.binding.lower, bench.binding.upper
+        entries = bench.binding.layout.entries
+        self.delays = {i for i, entry in enumerate(entries) if entry.field == "delay"}
+        self.step = bench.step
         self.problem, self.starts = p, starts
         z = p.z(theta, starts)
         self.known = p.known_before(z)[0]
@@ -239,7 +242,17 @@ class _Judge:
         nearer = []
         for _, trial in best[:LOOKED_AT]:
             nearer += [trial.scaled(share, *self.bounds) for share in NEARBY]
+            nearer += self._in_whole_steps(trial)
         return _least([*best, *self._best(nearer)])
+
+    def _in_whole_steps(self, trial: Trial) -> list[Trial]:
+        """A change that is late, by whole steps: a simulator delays by no others."""
+        late = [i for i in trial.strengths if i in self.delays]
+        if not late:
+            return []
+        theta = trial.theta.copy()
+        theta[late] = self.step * np.round(theta[late] / self.step)
+        return [replace(trial, theta=theta)]
 
     def _best(self, trials: Sequence[Trial]) -> list[tuple[float, Trial]]:
         """The best size of each change, and what it leaves; least first."""
