@@ -142,7 +142,8 @@ def main() -> dict[str, Any]:
         "Arms of two and three joints under position actuators, recorded by MuJoCo in steps of "
         "0.1 ms by Runge and Kutta's rule, 20 s at 250 Hz, noise 1e-4 rad. The file takes steps of "
         "1 to 4 ms, and its armature, damping and dry friction are up to 10 % off. Right as for "
-        f"blind robots. Seeds {seeds}, each case once; commits {revisions}."
+        "blind robots; a number that is told only as a ratio or a product with another counts as "
+        f"not told. Seeds {seeds}, each case once; commits {revisions}."
     )
     return {"title": "Machines finer than their file", "text": text, "rows": out}
 

@@ -479,4 +479,4 @@ def _steps_said(mechanism: Any) -> str:
             return f"simulated in {tree.simulator.exact().said}, which leave nothing behind"
         return f"simulated as its file asks MuJoCo for: {tree.simulator.said}"
     beyond = beyond_its_step(tree, mechanism.drive_law)
-    return f"simulated in jaxid's own steps: {beyond or 'the dataset says so'}"
+    return f"simulated in jaxid's own steps: {beyond or 'with joints that dry friction holds'}"
