@@ -242,8 +242,14 @@ class Decider:
         good = [h for h in tried if np.isfinite(joint_loss(h)) and self.gained(nominal, h) > 0]
         chosen = max(good, key=lambda h: self.gained(nominal, h), default=nominal)
         self.compared(chosen, [nominal, *tried])
+        before = self.bench.binding.inflation
         if chosen.effects:
-            chosen, nominal = self.released(self.reweighed(chosen), nominal)
+            chosen = self.reweighed(chosen)
+            if self.bench.binding.inflation != before:
+                nominal = self._posed_again(nominal)
+            chosen, nominal = self.released(chosen, nominal)
+        elif before > 1:  # priors that count so often may be all that keeps it from the noise
+            chosen = nominal = self.reweighed(nominal)
         chosen = self.thinned(nominal, chosen, tried)
         named = self.certain(chosen.effects)
         rivals = self.rivals(chosen, tried)

@@ -220,10 +220,12 @@ def _promised(
 ) -> Promise:
     """What was chosen, or that with fewer effects, whichever is most probable once predictions are
     `apart` by so much, to first order and on the fit runs, if it is more so than what was chosen.
+    Models of an earlier question, with other candidates, are left out.
     """
-    chosen = search.chosen
+    chosen, names = search.chosen, decider.bench.binding.layout.names
     fewer = [h for h in search.tried if set(h.effects) < set(chosen.effects)]
-    found = [h for h in (search.nominal, *fewer, chosen) if np.isfinite(h.fit_loss)]
+    asked = [h for h in (search.nominal, *fewer, chosen) if np.isfinite(h.fit_loss)]
+    found = [h for h in asked if h.path.problem.runs.layout.names == names]
     foreseen = [_evidence_apart(decider, h, apart(h)) for h in found]
     if not foreseen:
         return NOTHING
