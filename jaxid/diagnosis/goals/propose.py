@@ -246,3 +246,18 @@ def as_vector(binding: Binding, nominal: Sequence[str], s: Proposal) -> np.ndarr
             if (field := layout.entries[i].field) in own:
                 theta[i] = np.clip(own[field], binding.lower[i], binding.upper[i])
     return theta
+
+
+def absent_effects(b: Binding) -> list[Candidate]:
+    """Effects that are part of the model, at each joint where its file has nothing of them."""
+    free = set(b.free)
+    nothing = {i for i in free.intersection(b.nominal) if b.theta[i] == 0.0}
+    out = []
+    for effect in b.chain.effects:
+        if not isinstance(effect, JointEffect):
+            continue
+        for place in b.chain.offers(effect):
+            index = free.intersection(b.layout.of_effect(effect.name, place))
+            if index and index <= nothing:
+                out.append(Candidate(effect.name, place, tuple(sorted(index))))
+    return out

@@ -10,14 +10,19 @@ import numpy as np
 
 from jaxid.diagnosis.belief import Belief, EffectFamily
 from jaxid.diagnosis.evidence import held_out, HeldOut, knowledge, level
-from jaxid.diagnosis.goals.propose import as_vector, candidates_of, ProposedSets
+from jaxid.diagnosis.goals.propose import (
+    absent_effects,
+    as_vector,
+    candidates_of,
+    ProposedSets,
+)
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
 from jaxid.diagnosis.left_open import left_open
 from jaxid.diagnosis.probability import log_evidence, normalised, RULE
 from jaxid.diagnosis.selection import in_lead, joint_loss
 from jaxid.diagnosis.torque.weigh import LARGEST, TOGETHER
 from jaxid.diagnosis.verdict import judge
-from jaxid.dynamics.effect import BodyEffect, JointEffect
+from jaxid.dynamics.effect import BodyEffect
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import Path
 from jaxid.fitting.problem_builder import (
@@ -28,7 +33,6 @@ from jaxid.fitting.problem_builder import (
 )
 from jaxid.fitting.secant import descend_on_secants, residuals, Slopes
 from jaxid.fitting.wide_slopes import descend_widely, WIDTHS
-from jaxid.problem.binding import Binding
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import OutputError
 from jaxid.problem.trust import counted_as_often
@@ -302,7 +306,7 @@ class Decider:
         it may stand for what is not known, and stays a number.
         """
         b, chosen = self.bench.binding, search.chosen
-        lacked = [c for c in _absent(b) if all(chosen.theta[i] != 0.0 for i in c.index)]
+        lacked = [c for c in absent_effects(b) if all(chosen.theta[i] != 0.0 for i in c.index)]
         if not lacked:
             return search
         self.asked, tried = frozenset(i for c in lacked for i in c.index), list(search.tried)
@@ -487,18 +491,3 @@ def squares_of(residuals: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]
     """Sums of squares of runs [samples outputs], and their samples, [outputs]."""
     left = np.sum([np.sum(r**2, axis=0) for r in residuals], axis=0)
     return left, np.full(len(left), float(sum(map(len, residuals))))
-
-
-def _absent(b: Binding) -> list[Candidate]:
-    """Effects that are part of the model, at each joint where its file has nothing of them."""
-    free = set(b.free)
-    nothing = {i for i in free.intersection(b.nominal) if b.theta[i] == 0.0}
-    out = []
-    for effect in b.chain.effects:
-        if not isinstance(effect, JointEffect):
-            continue
-        for place in b.chain.offers(effect):
-            index = free.intersection(b.layout.of_effect(effect.name, place))
-            if index and index <= nothing:
-                out.append(Candidate(effect.name, place, tuple(sorted(index))))
-    return out
