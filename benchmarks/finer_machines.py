@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -26,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.blind_robots import answered, score  # noqa: E402
 from benchmarks.blind_summary import share  # noqa: E402
+from benchmarks.loose_robots import kept, revision  # noqa: E402
 from jaxid.benchmark.goal_arms import (  # noqa: E402
     FINE,
     GoalArm,
@@ -71,14 +71,9 @@ def case(seed: int, number: int) -> dict[str, Any]:
     }
 
 
-def revision() -> str:
-    command = ["git", "rev-parse", "--short=8", "HEAD"]
-    return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
-
-
 def asked(seed: int, cases: int, only: list[str]) -> None:
     """Makes and diagnoses what is not done yet; of some kinds `only`."""
-    done = {(row["seed"], row["number"]) for row in kept()}
+    done = {(row["seed"], row["number"]) for row in kept(RESULTS)}
     for number in range(cases):
         if (seed, number) in done or KINDS[number % len(KINDS)] not in only:
             continue
@@ -105,15 +100,9 @@ def asked(seed: int, cases: int, only: list[str]) -> None:
         print(number, row["kind"], row["file"], row["verdict"], row["named"], right, flush=True)
 
 
-def kept() -> list[dict[str, Any]]:
-    if not RESULTS.exists():
-        return []
-    return [json.loads(line) for line in RESULTS.read_text().splitlines()]
-
-
 def main() -> dict[str, Any]:
     """What was kept, by what was withheld and by the file's steps."""
-    rows = kept()
+    rows = kept(RESULTS)
     if not rows:
         raise FileNotFoundError("nothing was diagnosed: run benchmarks/finer_machines.py first")
     groups = {kind: [r for r in rows if r["kind"] == kind] for kind in KINDS}
