@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import jaxid
-from jaxid.diagnosis.goals.search import _absent
+from jaxid.diagnosis.goals.propose import absent_effects
 from jaxid.problem.binding import bind
 from jaxid.robots.export.kept import kept
 from jaxid.robots.export.outcome import outcome
@@ -144,7 +144,7 @@ def test_brakes_that_a_file_states_are_no_effects(tmp_path):
     data = jaxid.load_dataset(log(file(), tmp_path, seconds=4.0))
     for dry, lacking in ((0.0, ["lift", "bend"]), (0.3, ["lift"])):
         arm.write_text(file(dry))
-        found = _absent(bind(str(arm), data))
+        found = absent_effects(bind(str(arm), data))
         assert [(c.effect, c.location) for c in found] == [("coulomb_friction", j) for j in lacking]
 
 
