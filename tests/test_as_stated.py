@@ -173,4 +173,7 @@ def test_soft_friction_that_is_not_the_files_is_another_number_and_no_effect(tmp
     assert found.which.verdict == "none" and not found.which.effects
     (wrong,) = [row for row in found.final.stated if row.refuted]
     assert (wrong.parameter, wrong.joint) == ("frictionloss", "shoulder")
-    assert abs(wrong.fitted - 2.0) < 3 * (wrong.std or 0.0) < 0.03
+    assert wrong.std is not None and wrong.beside is not None
+    # Without torque a common factor of all of them is known no better than the gains are.
+    assert abs(wrong.fitted - 2.0) < 2 * wrong.std < 0.2
+    assert abs(wrong.beside - 2.0) < 0.01

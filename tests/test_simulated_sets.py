@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from jaxid.diagnosis.belief import Belief, FreeLaw, joined_beliefs
+from jaxid.diagnosis.goals.compared import ComparedSets
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.single_changes import belief_of
 from jaxid.diagnosis.hypothesis import Candidate
@@ -204,10 +205,10 @@ def test_two_that_simulations_do_not_tell_apart_are_one_answer_with_one_probabil
         for effects, worth in (((), 0.0), ((tilt,), 40.0), ((bias,), 40.0))
     )
     decider = Decider(cast(Any, None), ())
-    decider.compared(chosen, [nominal, other])
+    decider.compare(chosen, [nominal, other])
     rivals = decider.rivals(chosen, [other])
     belief = Belief(decider.certain([tilt]), probability=0.5)
-    told = decider.with_families(belief, [tilt], rivals)
+    told = decider.compared.with_families(belief, [tilt], rivals)
     (family,) = told.to_dict()["families"]
     assert tuple(family["effects"]) == ("gravity_offset", "sensor_bias")
     assert tuple(family["locations"]) == ("j1", "j1")
@@ -217,17 +218,25 @@ def test_two_that_simulations_do_not_tell_apart_are_one_answer_with_one_probabil
 def test_a_family_is_as_probable_as_that_one_of_it_is_there():
     """A load at either of two links, alone or beside a lag: what is there twice counts once."""
     load, other = Candidate("payload", "j2", (0,)), Candidate("payload", "j3", (1,))
-    decider = Decider(cast(Any, None), ())
     at, elsewhere = ("payload", "j2"), ("payload", "j3")
-    decider.weights = {
+    weights = {
         frozenset({at}): 0.4,
         frozenset({at, elsewhere}): 0.2,
         frozenset({elsewhere}): 0.38,
         frozenset(): 0.02,
     }
-    (family,) = decider.with_families(Belief({at: 0.6}), [load], [other]).families
+    compared = ComparedSets(weights)
+    (family,) = compared.with_families(Belief({at: 0.6}), [load], [other]).families
     assert family.places == (at, elsewhere) and family.probability == pytest.approx(0.98)
-    assert not decider.claimed(load, [other])
+    assert not compared.claimed(load, [other])
+
+
+def test_a_set_that_was_simulated_twice_counts_once_by_its_best():
+    lag, nothing = ("actuator_lag", "tau"), frozenset()
+    compared = ComparedSets.by_evidence([(nothing, 0.0), (frozenset({lag}), 0.0), (nothing, -1.0)])
+    assert compared.places[lag] == pytest.approx(0.5)
+    diverged = ComparedSets.by_evidence([(nothing, 0.0), (frozenset({lag}), np.nan)])
+    assert diverged.places[lag] < 1e-9
 
 
 def test_single_changes_that_leave_as_much_are_one_answer():
@@ -256,7 +265,7 @@ def test_effects_of_sets_that_were_simulated_share_their_probability(monkeypatch
     decider = Decider(cast(Any, None), ())
     won = found(0.0, LAG)
     both = found(-2.0, LAG, DELAY)
-    decider.compared(won, [won, found(-9.0, DELAY), both, found(np.nan, DRAG)])
+    decider.compare(won, [won, found(-9.0, DELAY), both, found(np.nan, DRAG)])
     odds = np.exp(-2.0) + np.exp(-9.0)
     assert decider.sure["input_delay", "tau"] == pytest.approx(odds / (1 + odds))
     assert decider.sure["actuator_lag", "tau"] == pytest.approx(1 / (1 + np.exp(-9.0)), rel=2e-5)
@@ -274,7 +283,7 @@ def test_of_two_that_leave_as_much_at_one_place_either_may_be_claimed(monkeypatc
         decider = Decider(cast(Any, None), ())
         won = cast(Any, SimpleNamespace(effects=(LAG,)))
         lost = cast(Any, SimpleNamespace(effects=(other,)))
-        decider.compared(won, [won, lost])
+        decider.compare(won, [won, lost])
         rivals = decider.rivals(won, [won, lost])
         assert rivals == [other] and decider.sure["actuator_lag", "tau"] == pytest.approx(0.5)
-        assert decider.claimed(LAG, rivals) is claimed
+        assert decider.compared.claimed(LAG, rivals) is claimed

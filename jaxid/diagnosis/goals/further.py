@@ -16,6 +16,7 @@ import numpy as np
 
 from jaxid.diagnosis.belief import Belief, joined_beliefs
 from jaxid.diagnosis.goals.asked import GoalsQuestion
+from jaxid.diagnosis.goals.compared import ComparedSets, places_of
 from jaxid.diagnosis.goals.own_run import without_steps
 from jaxid.diagnosis.goals.propose import (
     as_vector,
@@ -90,7 +91,7 @@ def _more_by_columns(ask: GoalsQuestion, so_far: _Further) -> _Further:
         return replace(so_far, found=False)
     base = _with_chosen(ask, decider, search)
     theta = _carried(search.chosen.theta, decider.bench.binding.layout, base)
-    standing = _places(search.chosen.effects)
+    standing = places_of(search.chosen.effects)
     study = LedStudy(without_steps(base), ask.kinds, begin=theta, standing=standing)
     linearised = LinearisedSearch(study, theta, ask.max_effects - len(kept))
     proposed = linearised.searched(Proposal((), (), theta))
@@ -114,15 +115,11 @@ def _more_by_runs(ask: GoalsQuestion, so_far: _Further) -> _Further:
         theta=_carried(chosen.theta, before.layout, bench.binding),
         free=[layout.index(before.layout.names[i]) for i in problem.free],
         starts=problem.starts(chosen.path.z),
-        standing=_places(chosen.effects),
+        standing=places_of(chosen.effects),
     )
     bare = Proposal((), (), base.theta)
     proposed = ProposedSets(bare, tuple(sets), inflation=before.inflation)
     return _borne_out(ask, so_far, base, proposed)
-
-
-def _places(effects: Sequence[Candidate]) -> frozenset[tuple[str, str]]:
-    return frozenset((c.effect, c.location) for c in effects)
 
 
 def _with_chosen(ask: GoalsQuestion, decider: Decider, search: SearchResult) -> Binding:
@@ -156,7 +153,7 @@ def _borne_out(
         slopes=None,
         total=decider.done + 2 + len(proposed.sets),
         sure={},
-        weights={},
+        compared=ComparedSets(),
     )
     nominal = wider.refit((), _carried(search.nominal.theta, before, wide))
     standing = [_moved(c, before, wide.layout) for c in search.chosen.effects]
@@ -168,18 +165,16 @@ def _borne_out(
     for s in proposed.sets:
         own = [*standing, *candidates_of(bench, s)]
         tried.append(wider.refit(own, as_vector(wide, base.layout.names, s), stands.path))
-    best = max([stands, *tried], key=lambda h: np.nan_to_num(wider.gained(stands, h), nan=-np.inf))
-    wider.compared(best, [stands, *tried])
+    best = wider.best_of(stands, tried)
     if best is stands:
         return _as_it_stands(so_far, wider, nominal, stands, proposed)
-    best, nominal = wider.released(wider.reweighed(best), nominal)
-    chosen = wider.thinned(nominal, best, tried)
+    nominal, chosen = wider.confirmed(nominal, best, tried)
     found = [c for c in chosen.effects if c not in standing]
     rivals = wider.rivals(chosen, tried)
-    if not found or not all(wider.claimed(c, rivals) for c in found):
+    if not found or not all(wider.compared.claimed(c, rivals) for c in found):
         return _nothing(so_far, proposed, wider.sure)
     more = wider.certain(found)
-    belief = wider.with_families(proposed.belief(more), found, rivals)
+    belief = wider.compared.with_families(proposed.belief(more), found, rivals)
     belief = replace(belief, places=_by_simulation(search, wider.sure) | belief.places)
     alike = [*search.confusable, *proposed.instead(more), *rivals]
     wider_search = SearchResult(
@@ -222,7 +217,7 @@ def _nothing(
         return replace(so_far, found=False)
     told = proposed.belief({})
     told = replace(told, places=_by_simulation(search, sure) | told.places).at_most(sure)
-    belief = search.belief.asked_again(told, _places(search.chosen.effects))
+    belief = search.belief.asked_again(told, places_of(search.chosen.effects))
     return _Further(so_far.decider, replace(search, belief=belief))
 
 
@@ -230,14 +225,14 @@ def _by_simulation(
     search: SearchResult, sure: Mapping[tuple[str, str], float]
 ) -> dict[tuple[str, str], float]:
     """How probable simulations make what does not stand."""
-    standing = _places(search.chosen.effects)
+    standing = places_of(search.chosen.effects)
     return {place: p for place, p in sure.items() if place not in standing}
 
 
 def _believed(search: SearchResult, more: Belief) -> Belief:
     if search.belief is None:
         return more
-    again = search.belief.asked_again(more, _places(search.chosen.effects))
+    again = search.belief.asked_again(more, places_of(search.chosen.effects))
     joined = joined_beliefs([search.belief, more]) or more
     return replace(joined, places=again.places, free_law=again.free_law)
 

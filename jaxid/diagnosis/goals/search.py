@@ -8,8 +8,8 @@ from itertools import chain
 
 import numpy as np
 
-from jaxid.diagnosis.belief import Belief, EffectFamily
 from jaxid.diagnosis.evidence import held_out, HeldOut, knowledge, level
+from jaxid.diagnosis.goals.compared import ComparedSets, places_of
 from jaxid.diagnosis.goals.propose import (
     absent_effects,
     as_vector,
@@ -18,7 +18,7 @@ from jaxid.diagnosis.goals.propose import (
 )
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, SearchResult
 from jaxid.diagnosis.left_open import left_open
-from jaxid.diagnosis.probability import log_evidence, normalised, RULE
+from jaxid.diagnosis.probability import log_evidence, RULE
 from jaxid.diagnosis.selection import in_lead, joint_loss
 from jaxid.diagnosis.torque.weigh import LARGEST, TOGETHER
 from jaxid.diagnosis.verdict import judge
@@ -62,8 +62,7 @@ class Decider:
     )  # what explained most so far, for the line of progress
     #: (effect, place) -> probability by the last simulation that asked whether it is missed.
     sure: dict[tuple[str, str], float] = field(default_factory=dict)
-    #: Sets of effects at places that were compared last -> probability.
-    weights: dict[frozenset[tuple[str, str]], float] = field(default_factory=dict)
+    compared: ComparedSets = field(default_factory=ComparedSets)  # what was, last
     asked: frozenset[int] = frozenset()  # numbers of the model that are asked for as effects
     most: float = np.inf  # of the noise that a stretch of runs that touch may leave
 
@@ -243,22 +242,18 @@ class Decider:
             theta = as_vector(self.bench.binding, self.names, s)
             if own := candidates_of(self.bench, s):
                 tried.append(self.refit(own, theta, nominal.path))
-        good = [h for h in tried if np.isfinite(joint_loss(h)) and self.gained(nominal, h) > 0]
-        chosen = max(good, key=lambda h: self.gained(nominal, h), default=nominal)
-        self.compared(chosen, [nominal, *tried])
-        before = self.bench.binding.inflation
-        if chosen.effects:
-            chosen = self.reweighed(chosen)
-            if self.bench.binding.inflation != before:
-                nominal = self._posed_again(nominal)
-            chosen, nominal = self.released(chosen, nominal)
-        elif before > 1:  # priors that count so often may be all that keeps it from the noise
-            chosen = nominal = self.reweighed(nominal)
-        chosen = self.thinned(nominal, chosen, tried)
+        best = self.best_of(nominal, tried)
+        if best.effects:
+            nominal, chosen = self.confirmed(nominal, best, tried)
+        elif self.bench.binding.inflation > 1:
+            # priors that count so often may be all that keeps it from the noise
+            nominal = chosen = self.reweighed(nominal)
+        else:
+            chosen = nominal
         named = self.certain(chosen.effects)
         rivals = self.rivals(chosen, tried)
         belief = proposed.belief(named).at_most(self.sure)
-        belief = self.with_families(belief, chosen.effects, rivals)
+        belief = self.compared.with_families(belief, chosen.effects, rivals)
         return SearchResult(
             nominal=nominal,
             chosen=chosen,
@@ -267,6 +262,32 @@ class Decider:
             several=len({c.effect for c in chosen.effects}) > 1,
             belief=belief,
         )
+
+    def best_of(self, stands: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
+        """The most probable of what was tried beside what stands, or that; how probable effects are
+        so is kept.
+        """
+        measured = [h for h in tried if np.isfinite(joint_loss(h))]
+
+        def gained(h: Hypothesis) -> float:
+            return np.nan_to_num(self.gained(stands, h), nan=-np.inf)
+
+        best = max([stands, *measured], key=gained)
+        self.compare(best, [stands, *tried])
+        return best
+
+    def confirmed(
+        self, nominal: Hypothesis, best: Hypothesis, tried: list[Hypothesis]
+    ) -> tuple[Hypothesis, Hypothesis]:
+        """The nominal model, and the best one without what is not missed, both with priors that
+        count as often as what the best one leaves.
+        """
+        before = self.bench.binding.inflation
+        best = self.reweighed(best)
+        if self.bench.binding.inflation != before:
+            nominal = self._posed_again(nominal)
+        best, nominal = self.released(best, nominal)
+        return nominal, self.thinned(nominal, best, tried)
 
     def gained(
         self, before: Hypothesis, after: Hypothesis, joints: Sequence[int] | None = None
@@ -352,24 +373,15 @@ class Decider:
         places = [(c.effect, c.location) for c in effects]
         return {place: self.sure.get(place, 1.0) for place in places}
 
-    def compared(self, won: Hypothesis, tried: Sequence[Hypothesis]) -> None:
+    def compare(self, won: Hypothesis, tried: Sequence[Hypothesis]) -> None:
         """How probable effects are, of the set that won and of all others that were simulated
         beside it.
         """
-        every = [won, *(h for h in tried if h is not won)]
-        gained = np.array([self.gained(won, h) for h in every])
-        weights = normalised(np.nan_to_num(gained, nan=-LARGEST))
-        self.weights = {}
-        for h, weight in zip(every, weights.tolist(), strict=True):
-            places = frozenset((c.effect, c.location) for c in h.effects)
-            self.weights[places] = self.weights.get(places, 0.0) + weight
-        for place in frozenset(chain.from_iterable(self.weights)):
-            self.sure[place] = self._any_of({place})
-
-    def _any_of(self, wanted: Set[tuple[str, str]]) -> float:
-        """How probable it is, of the sets that were compared last, that one of these is there."""
-        inside = [weight for places, weight in self.weights.items() if places & wanted]
-        return min(sum(inside), 1.0)
+        every = [won, *tried]
+        self.compared = ComparedSets.by_evidence(
+            (places_of(h.effects), self.gained(won, h)) for h in every
+        )
+        self.sure |= self.compared.places
 
     def rivals(self, chosen: Hypothesis, tried: Sequence[Hypothesis]) -> list[Candidate]:
         """Effects of other sets that are possible in the place of those that are chosen."""
@@ -378,48 +390,6 @@ class Decider:
             every |= dict.fromkeys(h.effects)
         others = [c for c in every if c not in chosen.effects]
         return [c for c in others if self.sure.get((c.effect, c.location), 0.0) >= RULE.possible]
-
-    def family(self, c: Candidate, rivals: Sequence[Candidate]) -> EffectFamily:
-        """An effect and rivals that may act in its place, by simulations: that one of them is
-        there.
-        """
-        own = [c, *rivals]
-        together = self._any_of({(e.effect, e.location) for e in own})
-        effects, locations = (e.effect for e in own), (e.location for e in own)
-        return EffectFamily(tuple(effects), c.location, together, tuple(locations))
-
-    def at_its_place(self, c: Candidate, rivals: Sequence[Candidate]) -> EffectFamily:
-        """The family of an effect with its rivals at the same place."""
-        return self.family(c, [e for e in rivals if e.location == c.location])
-
-    def claimed(self, c: Candidate, rivals: Sequence[Candidate]) -> bool:
-        """Whether an effect or one of its rivals at its place is as probable as a claim has to
-        be.
-        """
-        return self.at_its_place(c, rivals).probability >= RULE.sure
-
-    def with_families(
-        self, belief: Belief, effects: Sequence[Candidate], rivals: Sequence[Candidate]
-    ) -> Belief:
-        """What some effects stand for that are not sure by themselves, where columns did not tell
-        it: first of all what may act at the same place.
-        """
-        told = set(chain.from_iterable(family.places for family in belief.families))
-        unsure = [c for c in effects if (c.effect, c.location) not in told]
-        unsure = [c for c in unsure if belief.places.get((c.effect, c.location), 1.0) < RULE.sure]
-        found = []
-        for c in unsure:
-            family = self.at_its_place(c, rivals)
-            if family.probability < RULE.sure:
-                family = self.family(c, [e for e in rivals if self._instead(e, c)])
-            if len(family.effects) > 1:
-                found.append(family)
-        return belief.with_families(found, [(c.effect, c.location) for c in effects])
-
-    def _instead(self, other: Candidate, c: Candidate) -> bool:
-        """Whether some set that was compared has another effect and not this one."""
-        other_place, place = (other.effect, other.location), (c.effect, c.location)
-        return any(other_place in s and place not in s for s in self.weights)
 
     def thinned(
         self, nominal: Hypothesis, chosen: Hypothesis, tried: list[Hypothesis]

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import chain
 from typing import NamedTuple
 
@@ -59,14 +60,14 @@ EARLY = (
 @dataclass(frozen=True)
 class SimulationSetting:
     """Something that may be otherwise than a dataset or a file has it. `changed`: the dataset with
-    it. `said`: of a binding as it is stated. `promising`: by deciders as it is stated and with it,
-    models of a search that may follow the runs better so. `at_once`: it is asked before effects
-    are, too.
+    it. `said`: of a binding as it is stated. `promising`: by a decider as it is stated and one with
+    it, which is made where it is asked, models of a search that may follow the runs better so.
+    `at_once`: it is asked before effects are, too.
     """
 
     changed: Callable[[Dataset], Dataset]
     said: Callable[[Binding], str]
-    promising: Callable[[Decider, Decider, SearchResult], Promise]
+    promising: Callable[[Decider, Callable[[], Decider], SearchResult], Promise]
     at_once: bool = False
 
     def question(self, ask: GoalsQuestion) -> GoalsQuestion:
@@ -83,7 +84,7 @@ class SimulationSetting:
         simulations = ProblemBuilder(
             changed, other.step, bench.differences, together=bench.together
         )
-        return replace(decider, bench=simulations)
+        return replace(decider, bench=simulations, evaluations=0)
 
 
 def settings_of(dataset: Dataset) -> list[SimulationSetting]:
@@ -104,7 +105,7 @@ def otherwise(
     """
     if not search.chosen.effects and search.chosen.at_noise:
         return None
-    others = [setting.decider(ask, decider) for setting in settings]
+    others = [cache(partial(setting.decider, ask, decider)) for setting in settings]
     promises = [s.promising(decider, o, search) for s, o in zip(settings, others, strict=True)]
     order = sorted(range(len(settings)), key=lambda k: -promises[k].gained)
     found = list(chain.from_iterable(promise.models for promise in promises))
@@ -115,9 +116,12 @@ def otherwise(
     if not chosen.effects and chosen.at_noise:
         return None
     for k in order:
+        if not promises[k].models:
+            continue
+        other = others[k]()
         models = [ended[id(h)] for h in promises[k].models]
-        claimed = any(_claimed(decider, others[k], h, chosen) for h in models)
-        decider.evaluations = others[k].evaluations
+        claimed = any(_claimed(decider, other, h, chosen) for h in models)
+        decider.evaluations += other.evaluations
         if claimed:
             return settings[k]
     return None
@@ -166,7 +170,7 @@ def _hold_said(stated: Binding) -> str:
     return OTHER_WAY.format(WORDS.get(OTHER.get(hold, hold)), WORDS.get(hold, hold))
 
 
-def _chosen_or_none(_: Decider, __: Decider, search: SearchResult) -> Promise:
+def _chosen_or_none(_: Decider, __: Callable[[], Decider], search: SearchResult) -> Promise:
     chosen = [search.chosen] if search.chosen.effects else []
     return Promise(0.0, [search.nominal, *chosen])
 
@@ -196,7 +200,7 @@ def delays_said(stated: Binding, named: Iterable[str]) -> list[str]:
     return [EARLY.format(steps.said, 1e3 * steps.delay)]
 
 
-def _without_steps(decider: Decider, _: Decider, search: SearchResult) -> Promise:
+def _without_steps(decider: Decider, _: Callable[[], Decider], search: SearchResult) -> Promise:
     """Without what the file's steps leave behind."""
     if decider.bench.binding.chain.mechanism.first_order_steps is None:
         return NOTHING
@@ -207,11 +211,11 @@ def _without_steps(decider: Decider, _: Decider, search: SearchResult) -> Promis
     return _promised(decider, search, apart)
 
 
-def _sticking(decider: Decider, other: Decider, search: SearchResult) -> Promise:
+def _sticking(decider: Decider, other: Callable[[], Decider], search: SearchResult) -> Promise:
     """In the steps of another simulator, where joints give way as a file says."""
     if decider.bench.binding.chain.mechanism.own_step is None:
         return NOTHING
-    runs = other.bench.runs(OutputError(), "fit")
+    runs = other().bench.runs(OutputError(), "fit")
     return _promised(decider, search, lambda h: defects(h.path.problem, h.path.z, runs))
 
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
-import numpy as np
-
 from jaxid.diagnosis.belief import Belief, EffectFamily
+from jaxid.diagnosis.goals.compared import ComparedSets, Place, places_of
 from jaxid.diagnosis.hypothesis import Hypothesis
-from jaxid.diagnosis.probability import normalised, RULE
+from jaxid.diagnosis.probability import RULE
 from jaxid.diagnosis.simulated import FAMILY
 
 
@@ -28,27 +27,24 @@ def belief_of(
     the chosen one first: by their sums of squares with what their numbers cost. A number that is
     off is no effect, and as likely beforehand as none.
     """
-    each: dict[frozenset[tuple[str, str]], float] = {}
+    found = []
     for h in (*asked, *more):
         places = _places(alone, h)
         prior = RULE.log_prior if places else 0.0
-        each[places] = max(each.get(places, -np.inf), prior - alone.evidence(h) / 2)
-    weights = dict(zip(each, normalised(np.array(list(each.values()))).tolist(), strict=True))
-    known: dict[tuple[str, str], float] = {}
-    for places, weight in weights.items():
-        for place in places:
-            known[place] = known.get(place, 0.0) + weight
+        found.append((places, prior - alone.evidence(h) / 2))
+    compared = ComparedSets.by_evidence(found)
+    weights, known = compared.weights, compared.places
     chosen = _places(alone, more[0])
     none = weights.get(frozenset(), 0.0)
     if not chosen:
         return Belief(known, none=none)
-    found = Belief(known, weights[chosen], none=none)
+    belief = Belief(known, weights[chosen], none=none)
     family = _family(weights, chosen)
-    return found if family is None else found.with_families([family], list(chosen))
+    return belief if family is None else belief.with_families([family], list(chosen))
 
 
 def _family(
-    weights: Mapping[frozenset[tuple[str, str]], float], chosen: frozenset[tuple[str, str]]
+    weights: Mapping[frozenset[Place], float], chosen: frozenset[Place]
 ) -> EffectFamily | None:
     """A single effect with others that may act alone in its place, until one of all is there with
     what a claim needs; None where it is sure by itself, or they are not even together.
@@ -67,8 +63,8 @@ def _family(
     return None
 
 
-def _places(alone: SingleChanges, h: Hypothesis) -> frozenset[tuple[str, str]]:
+def _places(alone: SingleChanges, h: Hypothesis) -> frozenset[Place]:
     """Effects and places; none of numbers of the model."""
     if alone.of_numbers(h):
         return frozenset()
-    return frozenset((c.effect, c.location) for c in h.effects)
+    return places_of(h.effects)
