@@ -222,12 +222,6 @@ def effect_of(bench: ProblemBuilder, c: Candidate) -> Effect:
     return next(e for e in bench.binding.chain.effects if e.name == c.effect)
 
 
-def family_of(bench: ProblemBuilder, c: Candidate) -> str:
-    """What the effect is a law of."""
-    effect = effect_of(bench, c)
-    return effect.family or type(effect).__module__.rpartition(".")[2]
-
-
 def read_off_of(
     bench: ProblemBuilder, p: FitProblem, z: np.ndarray, c: Candidate
 ) -> list[np.ndarray]:

@@ -8,7 +8,6 @@ would then refuse a right model.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -20,25 +19,6 @@ from jaxid.problem.problem import FitProblem
 #: This many numbers are put back at most, of those that are further away than this (in typical
 #: changes).
 TRIED, SHORT = 3, 0.1
-
-
-def brought_back(paths: Sequence[Path], theta: np.ndarray, index: Sequence[int]) -> list[Path]:
-    """The paths; those whose data leave directions open are moved along them towards where the
-    numbers at `index` are those of `theta`, if that costs nothing.
-    """
-    most = LIMITS.far * min((path.cost for path in paths), default=0.0)
-    jobs: dict[int, tuple[FitProblem, np.ndarray]] = {}
-    for k, path in enumerate(paths):
-        move = _way_back(path, theta, index) if path.cost <= most else None
-        if move is not None:
-            p = path.problem
-            jobs[k] = p, np.clip(path.z + move, p.lower, p.upper)
-    out = list(paths)
-    ends = levenberg_marquardt(list(jobs.values()), 6, 1e-6) if jobs else []
-    for k, end in zip(jobs, ends, strict=True):
-        if end.cost <= paths[k].cost + LIMITS.pull_cost:
-            out[k] = replace(end, linearisations=paths[k].linearisations + end.linearisations)
-    return out
 
 
 def put_back(
@@ -124,19 +104,3 @@ def moved_to(path: Path, theta: np.ndarray) -> Path:
     )
     end = levenberg_marquardt([(p, p.z(theta, starts))], 0, 1e-6)[0]
     return end if end.cost <= path.cost + LIMITS.pull_cost + p.free.size else path
-
-
-def _way_back(path: Path, theta: np.ndarray, index: Sequence[int]) -> np.ndarray | None:
-    """The part of the way that the data do not tell, in z; None if there is next to none."""
-    p = path.problem
-    if path.hessian is None or not np.isfinite(path.cost):
-        return None
-    home, n = p.theta(path.z).copy(), p.free.size
-    home[list(index)] = theta[list(index)]
-    way = np.zeros(p.size)
-    way[:n] = (p.z(home)[:n] - path.z[:n]) / p.scale[:n]
-    w, V = np.linalg.eigh(p.scale[:, None] * path.hessian * p.scale)
-    share = V.T @ way
-    open_ = share**2 * np.maximum(w, 0.0) / 2 < LIMITS.pull_cost
-    move = V[:, open_] @ share[open_]
-    return p.scale * move if np.linalg.norm(move) > SHORT else None

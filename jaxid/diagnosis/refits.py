@@ -12,10 +12,8 @@ import numpy as np
 
 from jaxid.diagnosis.evidence import held_out, knowledge, together
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, key_of
-from jaxid.diagnosis.prior_pull import brought_back, moved_to, put_back
-from jaxid.diagnosis.proposals import promising, Proposal, torque_starts
-from jaxid.diagnosis.screen import torque_tells
-from jaxid.diagnosis.selection import joint_loss, leads_on
+from jaxid.diagnosis.prior_pull import moved_to, put_back
+from jaxid.diagnosis.proposals import promising, Proposal
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.least_squares import levenberg_marquardt, Path
 from jaxid.fitting.many_starts import successive_halving
@@ -25,9 +23,6 @@ from jaxid.problem.residual import Residual
 from jaxid.problem.step_error import defects, step_error, STEP_SHARE
 
 
-#: This many hypotheses that explain the torque of the measured motion best are refitted to the end,
-#: however they do at first.
-SURE = 3
 #: How often the step may be halved, and how often its defect is worked out anew for a chosen
 #: hypothesis.
 HALVINGS, CORRECTIONS = 3, 2
@@ -94,21 +89,13 @@ class Refits:
             return []
         begun = (like or self.nominal).path
         starts = begun.problem.starts(begun.z)
-        sets = promising(self.nominal.path, sets)
-        by_torque = torque_starts(self.bench, self.base_free, sets, torque_tells(self.bench))
         groups = []
-        for (effects, thetas), (_, more) in zip(sets, by_torque, strict=True):
+        for effects, thetas in promising(self.nominal.path, sets):
             problem = self.problem(effects, thetas[0])
-            tried = [thetas[0], *more, *thetas[1:]]  # the race favours the first two
-            groups.append([(problem, problem.z(theta, starts)) for theta in tried])
-        costs = [cost for cost, _ in by_torque]
-        in_order = sorted(range(len(sets)), key=costs.__getitem__)
-        sure = [k for k in in_order if np.isfinite(costs[k])][:SURE]
-        ends = successive_halving(groups, 20, 1e-6, sure)
-        ends = brought_back(ends, self.bench.binding.theta, self.base_free)
+            groups.append([(problem, problem.z(theta, starts)) for theta in thetas])
+        ends = successive_halving(groups, 20, 1e-6)
         fitted = [(effects, end) for (effects, _), end in zip(sets, ends, strict=True)]
-        found = self.led(self.hypotheses(fitted))
-        return [self._kept(h) for h in found]
+        return [self._kept(h) for h in self.hypotheses(fitted)]
 
     def _kept(self, h: Hypothesis) -> Hypothesis:
         """The hypothesis, or how it was known before where it fits better so."""
@@ -118,62 +105,6 @@ class Refits:
             h = before
         self.known[key] = h
         return h
-
-    def led(self, found: list[Hypothesis]) -> list[Hypothesis]:
-        """The hypotheses; one that is left far behind by another that contains it begins anew where
-        that ended, without what that has more: it may have been in a local minimum.
-        """
-        jobs: dict[int, tuple[FitProblem, np.ndarray]] = {}
-        for k, h in enumerate(found):
-            lead = _far_ahead(h, found)
-            if lead is not None:
-                theta = self._without_more(lead, h)
-                problem = self.problem(h.effects, theta)
-                jobs[k] = problem, _z(problem, lead, theta)
-        if not jobs:
-            return found
-        ends = levenberg_marquardt(list(jobs.values()), *THOROUGH)
-        better = {
-            k: end
-            for k, end in zip(jobs, ends, strict=True)
-            if end.loss < LIMITS.half * found[k].fit_loss
-        }
-        fresh = self.hypotheses([(found[k].effects, end) for k, end in better.items()])
-        out = list(found)
-        for k, h in zip(better, fresh, strict=True):
-            out[k] = h
-        return out
-
-    def _without_more(self, richer: Hypothesis, h: Hypothesis) -> np.ndarray:
-        """Numbers of a richer hypothesis, less the effects that another has not."""
-        theta = richer.theta.copy()
-        for c in richer.effects:
-            if c not in h.effects:
-                index = list(c.index)
-                theta[index] = self.bench.binding.theta[index]
-        return theta
-
-    def freed(self, h: Hypothesis, richer: Hypothesis) -> Hypothesis:
-        """`h` from where a richer one ended, if far less is left there or, as fit runs show no gap,
-        nothing for the richer one to add: an effect may have led out of a local minimum, or along
-        what the fit runs leave open, and be of no other use.
-        """
-        quiet = h.fit_inflation < LIMITS.near**2
-        if joint_loss(h) < LIMITS.far and not quiet:
-            return h
-        theta = self._without_more(richer, h)
-        for c in h.effects:
-            if c in richer.effects:
-                theta[list(c.index)] = h.theta[list(c.index)]
-        problem = self.problem(h.effects, theta)
-        (end,) = levenberg_marquardt([(problem, _z(problem, richer, theta))], *THOROUGH)
-        (freed,) = self.hypotheses([(h.effects, end)])
-        share = joint_loss(freed) / joint_loss(h)
-        no_use = quiet and share * LIMITS.alike < 1 and not leads_on(freed, richer)
-        if share > LIMITS.half and not no_use:
-            return h
-        self.known[key_of(h.effects)] = freed
-        return freed
 
     # ---- steps of the simulation
 
@@ -290,10 +221,12 @@ class Refits:
         theta = self._as_validation_runs_have_it(h)
         if theta is None:
             return h
-        paths = [brought_back([h.path], theta, h.path.problem.free)[0], moved_to(h.path, theta)]
-        moved = self.hypotheses([(h.effects, path) for path in paths if path is not h.path])
-        good = [g for g in moved if _as_near(g, h)]
-        return min([h, *good], key=lambda g: g.validation.gap)
+        path = moved_to(h.path, theta)
+        if path is h.path:
+            return h
+        (after,) = self.hypotheses([(h.effects, path)])
+        nearer = after.validation.gap < h.validation.gap
+        return after if nearer and _as_near(after, h) else h
 
     def _as_validation_runs_have_it(self, h: Hypothesis) -> np.ndarray | None:
         """Numbers fitted to fit and validation runs at once; None where that says nothing new."""
@@ -309,14 +242,6 @@ class Refits:
         starts = estimate_starts(quick, "validation", [h.theta])
         end = together(quick, "validation", [h.path], starts)[0]
         return end.problem.theta(end.z)
-
-
-def _far_ahead(h: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
-    """Of those that contain it, the one that leaves far less, and least."""
-    own = key_of(h.effects)
-    most = LIMITS.half
-    richer = [g for g in found if own < key_of(g.effects) and g.fit_loss < most * h.fit_loss]
-    return min(richer, key=lambda g: g.fit_loss, default=None)
 
 
 def _as_near(other: Hypothesis, h: Hypothesis) -> bool:

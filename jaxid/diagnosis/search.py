@@ -21,16 +21,13 @@ from jaxid.diagnosis.hypothesis import (
     sensible,
     without_each,
 )
-from jaxid.diagnosis.proposals import beside, exchanged, left_out, pairs, plain_pairs, RIVALS
+from jaxid.diagnosis.proposals import beside, left_out, pairs
 from jaxid.diagnosis.refits import Refits
 from jaxid.diagnosis.screen import Screened, screened, torque_screened
 from jaxid.diagnosis.selection import (
     at_floor,
-    close_to_noise,
     in_lead,
     indistinct,
-    joint_loss,
-    leads_on,
     mirror_images,
     mirrored,
     most_probable,
@@ -60,15 +57,12 @@ ROUNDS = 3
 class Searcher:
     """Forward selection with re-evaluation.
 
-    `tried`: hypotheses on the way to what is chosen. `_singles`: those of the last step.
-    `_passed_over`: what an accepted effect was not clearly better than.
+    `tried`: hypotheses on the way to what is chosen.
     """
 
     def __init__(self, fits: Refits, progress: Progress | None = None):
         self.fits, self.progress = fits, progress
         self.tried: list[Hypothesis] = []
-        self._singles: list[Hypothesis] = []
-        self._passed_over: dict[Candidate, list[Hypothesis]] = {}
         self._cut_short = False
 
     def run(
@@ -127,16 +121,6 @@ class Searcher:
             step = self._step(chosen, found, pool, room)
             if step is None:
                 break
-            freed = fits.freed(chosen, step)
-            if freed is not chosen:
-                if not chosen.effects:
-                    fits.nominal = freed
-                chosen = freed
-                if not leads_on(chosen, step):
-                    continue  # look again from there
-            if not chosen.effects and max_effects > 1:
-                step = self._plainer(step, pool)
-            step = self._exchanged(step, found)
             chosen = fits.refined(step)
             known(SearchResult(fits.nominal, chosen, list(self.tried)))
         return chosen
@@ -168,14 +152,9 @@ class Searcher:
         return step
 
     def _beside(self, chosen: Hypothesis, pool: Sequence[Candidate], room: int) -> list[Hypothesis]:
-        """Refits of the chosen hypothesis with more in it, `room` effects at most; after the first
-        choice also of two others, which may explain more than it and one beside it.
-        """
+        """Refits of the chosen hypothesis with more in it, `room` effects at most."""
         others = [c for c in pool if c not in chosen.effects]
         found = self._extend(chosen, others, room)
-        if len(chosen.effects) == 1 and not close_to_noise(chosen) and self._goes_on():
-            found += self._as_pairs(chosen, self._singles, pool, room)
-        self._singles = found
         self.tried += found
         return found
 
@@ -193,9 +172,6 @@ class Searcher:
             if sensible((*h.effects, *needed, c)) and len(needed) < room:
                 asked.append(c)
         ranked = self._screened(h, asked)
-        if h.effects and close_to_noise(h):
-            ranked = [f for f in ranked if f[0] * h.fit_loss * h.path.count > LIMITS.standing_out]
-            asked = [c for _, c, _ in ranked]
         # A free run that has gone far astray says little to first order: what the torque screen
         # puts first is tried as well.
         by_torque = []
@@ -240,35 +216,16 @@ class Searcher:
             out += self._extend(lead, [c for c in pool if c not in lead.effects])
         return out
 
-    def _plainer(self, step: Hypothesis, pool: Sequence[Candidate]) -> Hypothesis:
-        """The first effect, or two plain laws in its place that are more probable."""
-        nominal = self.fits.nominal.theta
-        two = self.fits.refit(plain_pairs(self.fits.bench, step.effects[0], pool, nominal))
-        self.tried += two
-        return most_probable([step, *two]) or step
-
-    def _exchanged(self, step: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis:
-        """The step, or one with other effects in the place of those accepted before, if more
-        probable.
-        """
-        others = [h for h in found if h is not step and h.effects[:-1] == step.effects[:-1]]
-        alike = [h for h in others if indistinct(step, h)]
-        alike = sorted(alike, key=joint_loss)[:RIVALS]
-        sets = exchanged(self.fits.bench, [step, *alike], self._passed_over)
-        other = self.fits.refit(sets)
-        self.tried += other
-        self._passed_over[step.effects[-1]] = alike
-        return most_probable([step, *other]) or step
-
     # ---- back
 
     def _questioned(self, h: Hypothesis) -> Hypothesis:
         """Takes out effects that are not worth their price beside the others, what one refines as
         well where there is none of it; the smaller set gets every chance, from where the larger one
-        ended.
+        ended: an effect may have led out of a local minimum, and be of no other use.
         """
-        while len(h.effects) > 1:
+        while h.effects:
             smaller = self.fits.refit([left_out(self.fits.bench, h, c) for c in h.effects], h)
+            self.fits.nominal = self.fits.known[frozenset()]
             needless = [s for s in smaller if log_weight(s) >= log_weight(h)]
             if not needless:
                 return h

@@ -13,7 +13,6 @@ from jaxid.base.wording import listed, times
 from jaxid.diagnosis.evidence import level, memory
 from jaxid.diagnosis.hypothesis import Candidate, effect_of, Hypothesis, key_of
 from jaxid.diagnosis.simulated import log_weight, SIMULATED, told_apart
-from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.problem_builder import ProblemBuilder
 
 
@@ -115,14 +114,6 @@ def at_floor(h: Hypothesis) -> bool:
     """Nothing is left to explain: the noise, and white."""
     low = h.fit_loss <= level(h.path.count) and h.validation.loss <= level(h.validation.count)
     return bool(low and max(memory(h.validation.settled), memory(h.residuals)) <= 2)
-
-
-def close_to_noise(h: Hypothesis) -> bool:
-    """White and close above the noise: a stated noise may be a little low, or something small is
-    left.
-    """
-    white = h.fit_inflation < 1.5 * max(1.0, h.fit_loss) and memory(h.validation.settled) <= 2
-    return max(h.validation.loss, h.fit_loss) < LIMITS.near**2 and white
 
 
 def rivals_among(

@@ -47,13 +47,6 @@ class Thresholds:
         " sign: steps reach 1e-7.",
         "stepped commands to a joint: 1e-7 without anything missing",
     )
-    standing_out: float = _of(
-        25.0,
-        "chi-square units",
-        "What is refitted where a model is close above the noise already: candidates that explain"
-        " so much of the sum of squares.",
-        "blind pairs with a small second effect",
-    )
     pull_cost: float = _of(
         2.0,
         "half of a chi-square unit",

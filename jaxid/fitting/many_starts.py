@@ -118,11 +118,10 @@ def successive_halving(
     groups: Sequence[Sequence[tuple[AbstractProblem, np.ndarray]]],
     iterations: int,
     tolerance: float,
-    sure: Sequence[int] = (),
 ) -> list[Path]:
     """A path of each group of (problem, start) on the same data, as by `search` but for a choice
     among the groups: those that are clearly behind after the first steps stay where they are, and
-    only the front ones, and those that are `sure`, descend to the end. Where one explains the data,
+    only the front ones descend to the end. Where one explains the data,
     only those go on with it that could yet do so.
     """
     current = [list(g) for g in groups]
@@ -134,9 +133,6 @@ def successive_halving(
             _ask_again(current, groups, range(len(groups)), 2)
         lost = _lost(paths) if heat > 1 else set()
         ahead = _ahead(paths, front, lost) if heat > 0 else list(range(len(groups)))
-        # Until the last heat those that are sure have a chance all the same.
-        barred = {*ahead, *lost} if last else set(ahead)
-        ahead += [k for k in sure if k not in barred]
         if share == 1.0 and not last:
             _ask_again(current, groups, ahead, 1)
             paths = _first_on_the_whole(current, ahead, mere_look=bool(lost))
