@@ -18,6 +18,7 @@ from jaxid.data.signals import zero_phase
 from jaxid.diagnosis.run import run_diagnosis
 from jaxid.diagnosis.torque.answer import of_model
 from jaxid.diagnosis.torque.claims import claims
+from jaxid.diagnosis.torque.found import searched
 from jaxid.diagnosis.torque.judged import scales
 from jaxid.diagnosis.torque.reference import ReferenceNumbers
 from jaxid.diagnosis.torque.study import TorqueStudy
@@ -26,7 +27,7 @@ from jaxid.diagnosis.torque.weigh import weigh
 from jaxid.dynamics.kinematics import modified_dh
 from jaxid.force.torque_filter import evenly
 from jaxid.models import SerialArm, UR10e
-from jaxid.models.effects import AsymmetricFriction
+from jaxid.models.effects import AsymmetricFriction, QuadraticDrag
 from jaxid.problem.binding import bind
 from jaxid.problem.residual import InverseDynamics
 from test_serial_arm import table_of, twin
@@ -393,3 +394,24 @@ def test_an_effect_shows_in_spite_of_what_repeats_differ_by():
     rows, weights = study.rows_with_effects(study.theta)
     chooser = study.chooser(rows, weights, study.of("fit"), study.of("validation"))
     assert claimed_of(study, rows, weights, chooser) == ["asymmetric_friction"]
+
+
+def test_free_swings_are_compared_by_torque():
+    """They have no input: what is not recorded is nothing, as in a simulation."""
+    t = np.arange(0, 12.0, 5e-3)
+    swing = 0.6 * np.exp(-0.08 * t) * np.cos(5.0 * t)
+    data = jaxid.Dataset.from_arrays(
+        [t, t],
+        {},
+        {"q": [swing, 0.7 * swing]},
+        units={"q": "rad"},
+        split=["fit", "validation"],
+        noise_std={"q": 1e-4},
+        model="pendulum",
+        check_model=False,
+    )
+    study = TorqueStudy(bind(None, data), [QuadraticDrag], None, None, False)
+    for run in study.runs:
+        assert run.u.shape == run.q.shape and not run.u.any()
+    places = searched(study, 1).weighed.places
+    assert 0.0 <= places["quadratic_drag", "q"] <= 1.0

@@ -113,6 +113,8 @@ def _read(
     q, qd, qdd, _ = joint_motion(
         chain, e.t, y, [motion_hz] * chain.nq, stated_positions(e, chain.signature)
     )
+    # What is not recorded is nothing, as in a simulation: free swings have no inputs.
+    u = e.u[:, iu] if iu else np.zeros((len(e.t), len(chain.signature.inputs)))
     ends = filter_ends(e.t, cutoff_hz)
     kept = slice(ends, len(e.t) - ends, rows_every(rate, cutoff_hz))
     return TorqueRun(
@@ -120,7 +122,7 @@ def _read(
         q=q,
         qd=qd,
         qdd=qdd,
-        u=e.u[:, iu],
+        u=u,
         kept=kept,
         cutoff_hz=cutoff_hz,
         moves=_moving(binding, q),
