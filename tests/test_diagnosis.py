@@ -484,16 +484,16 @@ def test_of_two_effects_neither_need_help_alone():
 
 @pytest.mark.slow
 def test_something_small_is_found_beside_what_was_named():
-    """The first effect brings the model to 1.05 times the noise; what is left is white, and has the
-    shape of the second.
+    """The first effect brings the model near the noise; what is left has the shape of the second,
+    and is more than the noise may be off by (6 % of its mean square).
     """
-    data = recording("pendulum", 1, load=0.1, drag=1e-4)
+    data = recording("pendulum", 1, load=0.1, drag=3e-4)
     d = jaxid.diagnose("pendulum", data, effects=[*CHOICE, "spring_torque"])
     assert d.which.verdict == "named"
     found = {e.effect: e.parameters for e in d.which.effects}
     assert set(found) == {"load_dependent_friction", "quadratic_drag"}
     (drag,) = found["quadratic_drag"].values()
-    assert drag.std is not None and abs(drag.value - 1e-4) < 4 * drag.std
+    assert drag.std is not None and abs(drag.value - 3e-4) < 4 * drag.std
 
 
 @pytest.mark.slow
