@@ -117,7 +117,8 @@ class Searcher:
         chosen = fits.refined(fits.nominal)
         while len(chosen.effects) < max_effects and not at_floor(chosen) and self._goes_on():
             room = max_effects - len(chosen.effects)
-            found = self._beside(chosen, pool, room)
+            found = self._extend(chosen, [c for c in pool if c not in chosen.effects], room)
+            self.tried += found
             step = self._step(chosen, found, pool, room)
             if step is None:
                 break
@@ -150,13 +151,6 @@ class Searcher:
         if step is not None:
             self.tried.append(step)
         return step
-
-    def _beside(self, chosen: Hypothesis, pool: Sequence[Candidate], room: int) -> list[Hypothesis]:
-        """Refits of the chosen hypothesis with more in it, `room` effects at most."""
-        others = [c for c in pool if c not in chosen.effects]
-        found = self._extend(chosen, others, room)
-        self.tried += found
-        return found
 
     def _extend(self, h: Hypothesis, rest: Sequence[Candidate], room: int = 1) -> list[Hypothesis]:
         """Refits of `h` with one more effect each, for all that the screen lets pass; one that

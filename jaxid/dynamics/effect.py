@@ -95,8 +95,6 @@ class Effect(eqx.Module):
     stage: ClassVar[int] = 1
     #: Whether its torque at one joint depends on the speed of another.
     couples: ClassVar[bool] = False
-    #: What it is a law of, where the name of its file does not say.
-    family: ClassVar[str] = ""
     #: Effects that it may equal on some mechanism or at some of its numbers, however different they
     #: begin: one is compared with the other.
     resembles: ClassVar[tuple[str, ...]] = ()

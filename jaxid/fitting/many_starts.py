@@ -121,8 +121,8 @@ def successive_halving(
 ) -> list[Path]:
     """A path of each group of (problem, start) on the same data, as by `search` but for a choice
     among the groups: those that are clearly behind after the first steps stay where they are, and
-    only the front ones descend to the end. Where one explains the data,
-    only those go on with it that could yet do so.
+    only the front ones descend to the end. Where one explains the data, only those go on with it
+    that could yet do so.
     """
     current = [list(g) for g in groups]
     paths = [Path(*g[0]) for g in current]

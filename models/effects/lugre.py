@@ -37,7 +37,6 @@ class LuGreFriction(JointEffect):
     """
 
     name: ClassVar[str] = "lugre_friction"
-    family: ClassVar[str] = "friction"
     equation: ClassVar[str] = (
         "f = level (z + relaxation dz/dt);  dz/dt = (qd - |qd| z) / presliding,  |z| <= 1"
     )

@@ -40,7 +40,6 @@ class PowerLawFriction(JointEffect):
     seen: ClassVar[str] = "with speed to the power {exponent}"
     plain: ClassVar[str] = "Friction grows with speed to the power {exponent}, not in proportion."
     check: ClassVar[str] = "Compare constant speeds, slow and fast; look at the grease."
-    family: ClassVar[str] = "friction"
     export_law: ClassVar = ExportLaw(
         "force", "coefficient * (qd ** 2 + 1e-6) ** ((exponent - 1) / 2) * qd"
     )

@@ -35,7 +35,6 @@ class TemperatureDependentFriction(JointEffect):
     """
 
     name: ClassVar[str] = "temperature_dependent_friction"
-    family: ClassVar[str] = "friction"
     equation: ClassVar[str] = (
         "f = change warmth qd;  time d(warmth)/dt = qd^2 - warmth,  warmth = 0 at the start of a run"
     )
