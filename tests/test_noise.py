@@ -12,6 +12,7 @@ from scipy import constants
 
 from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.data.noise import noise_floor, quantisation_step, sensor_noise
+from jaxid.data.repeats import repeats
 from jaxid.data.units import conversion, si_unit, unit_names, UnitError
 
 
@@ -163,6 +164,26 @@ def test_a_repeat_that_stops_before_the_other_is_one():
 def test_runs_from_different_starts_are_no_repeats():
     found = noise_floor(dataset(MOTION, MOTION + 0.5, at_rest=False, noise_std=1e-3))["q"]
     assert found.source == "stated"
+
+
+@pytest.mark.parametrize("inputs", [{}, {"force": np.zeros_like}])
+def test_runs_that_coast_are_repeats_only_where_that_is_stated(inputs):
+    """From one position, at speeds that nobody states: no input makes the motion."""
+    t = np.arange(0, 4, 5e-3)
+    rng = np.random.default_rng(5)
+    runs = [v * (1 - np.exp(-t)) + rng.normal(0, 1e-4, t.size) for v in (6.0, 5.0)]
+    data = Dataset.from_arrays(
+        [t, t],
+        {name: [made(t), made(t)] for name, made in inputs.items()},
+        {"x": runs},
+        units={"x": "m", **dict.fromkeys(inputs, "N")},
+        check_model=False,
+    )
+    first, second = data.experiments
+    assert repeats([first, second]) == []
+    known = [replace(e, initial={"x": 0.0, "xd": 6.0}) for e in (first, second)]
+    assert len(repeats(known)) == 1
+    assert len(repeats([first, replace(second, repeat_of=first.name)])) == 1
 
 
 def test_report_runs_are_not_looked_at():

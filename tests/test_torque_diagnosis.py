@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ import numpy as np
 import pytest
 
 import jaxid
-from jaxid.data.dataset import Channel, Dataset, Experiment
+from jaxid.base.errors import UsageError
+from jaxid.data.dataset import Channel, Dataset, Experiment, ModelSpec
 from jaxid.data.signals import zero_phase
 from jaxid.diagnosis.run import run_diagnosis
 from jaxid.diagnosis.torque.answer import of_model
@@ -27,7 +29,7 @@ from jaxid.diagnosis.torque.weigh import weigh
 from jaxid.dynamics.kinematics import modified_dh
 from jaxid.force.torque_filter import evenly
 from jaxid.models import SerialArm, UR10e
-from jaxid.models.effects import AsymmetricFriction, QuadraticDrag
+from jaxid.models.effects import AsymmetricFriction, InputDelay, QuadraticDrag, TorqueScale
 from jaxid.problem.binding import bind
 from jaxid.problem.residual import InverseDynamics
 from test_serial_arm import table_of, twin
@@ -396,22 +398,59 @@ def test_an_effect_shows_in_spite_of_what_repeats_differ_by():
     assert claimed_of(study, rows, weights, chooser) == ["asymmetric_friction"]
 
 
-def test_free_swings_are_compared_by_torque():
-    """They have no input: what is not recorded is nothing, as in a simulation."""
+def _free_swings(**inputs) -> jaxid.Dataset:
     t = np.arange(0, 12.0, 5e-3)
     swing = 0.6 * np.exp(-0.08 * t) * np.cos(5.0 * t)
-    data = jaxid.Dataset.from_arrays(
+    return jaxid.Dataset.from_arrays(
         [t, t],
-        {},
+        {name: [made(t), made(t)] for name, made in inputs.items()},
         {"q": [swing, 0.7 * swing]},
-        units={"q": "rad"},
+        units={"q": "rad", **dict.fromkeys(inputs, "N m")},
         split=["fit", "validation"],
         noise_std={"q": 1e-4},
-        model="pendulum",
+        model=ModelSpec("pendulum", constants={"inertia": 0.08}),
         check_model=False,
     )
-    study = TorqueStudy(bind(None, data), [QuadraticDrag], None, None, False)
+
+
+def test_free_swings_are_compared_by_torque():
+    """They have no input: what is not recorded is nothing, as in a simulation."""
+    study = TorqueStudy(bind(None, _free_swings()), [QuadraticDrag], None, None, False)
     for run in study.runs:
         assert run.u.shape == run.q.shape and not run.u.any()
     places = searched(study, 1).weighed.places
     assert 0.0 <= places["quadratic_drag", "q"] <= 1.0
+
+
+@pytest.mark.parametrize("recorded", [False, True])
+def test_a_drive_that_gives_nothing_has_no_effects(recorded):
+    """A gain that takes all of the torque away would meet any motion without a drive."""
+    inputs = {"tau": np.zeros_like} if recorded else {}
+    kinds = [QuadraticDrag, TorqueScale, InputDelay]
+    study = TorqueStudy(bind(None, _free_swings(**inputs)), kinds, None, None, False)
+    effects = {u.effect for u in study.asked(kinds, study.theta)}
+    assert effects == {"quadratic_drag"}
+    driven = TorqueStudy(bind(None, _free_swings(tau=np.sin)), kinds, None, None, False)
+    effects = {u.effect for u in driven.asked(kinds, driven.theta)}
+    assert effects == {"quadratic_drag", "torque_scale", "input_delay"}
+
+
+def test_a_machine_that_coasts_tells_no_numbers_by_torque():
+    """Without any torque the numbers of its model at zero meet every motion."""
+    t = np.arange(0, 4.0, 5e-3)
+    coasts = [v * (1 - np.exp(-0.8 * t)) for v in (6.0, 4.0)]
+    data = jaxid.Dataset.from_arrays(
+        [t, t],
+        {"force": [0 * t, 0 * t]},
+        {"position": coasts},
+        units={"force": "N", "position": "m"},
+        split=["fit", "validation"],
+        noise_std={"position": 1e-4},
+        model="joint",
+        check_model=False,
+    )
+    with pytest.raises(UsageError, match="only the ratios of inertia, viscous, coulomb, offset"):
+        jaxid.diagnose(None, data, residual="inverse_dynamics")
+    stated = replace(data, model=ModelSpec("joint", constants={"inertia": 2.0}))
+    found = jaxid.diagnose(None, stated, residual="inverse_dynamics")
+    assert found.nominal.parameters["viscous"].value == pytest.approx(1.6, rel=0.01)

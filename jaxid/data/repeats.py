@@ -35,7 +35,7 @@ class OneWay:
 def repeats(runs: Sequence[Experiment]) -> list[list[Experiment]]:
     """Groups of two and more runs with the same inputs at the same times, the same constants and
     the same start, or of which one is stated to repeat the other; one may stop before the other,
-    but not before half of it.
+    but not before half of it. Where no input changes, the start has to be stated.
     """
     groups: list[list[Experiment]] = []
     for run in runs:
@@ -63,6 +63,9 @@ def _same_conditions(a: Experiment, b: Experiment) -> bool:
         return False
     if a.initial is not None or a.at_rest:
         return True
+    # A motion that no input makes comes from its start alone, speeds and all.
+    if not np.any(a.u[:count] != a.u[0]):
+        return False
     # A start that nobody states must at least look the same.
     return bool(np.all(np.abs(a.y[0] - b.y[0]) <= 0.02 * np.ptp(a.y, axis=0)))
 

@@ -8,6 +8,8 @@ then ends at zero, or at the lower bounds on its way there.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from jaxid.base.errors import UsageError
@@ -47,11 +49,16 @@ def shrinking(problem: FitProblem, z: np.ndarray) -> tuple[str, ...]:
 def refuse_scale_free(problem: FitProblem, z: np.ndarray) -> None:
     """Raises `UsageError` where the torque equation holds no scale."""
     if names := shrinking(problem, z):
-        raise UsageError(
-            f"the torque equation tells only the ratios of {', '.join(names)}: halved together they"
-            " halve both of its sides, and zero fits best. State one of them under"
-            f" [model.constants], as in `{names[0]} = 1.0`, or give it a `prior`"
-        )
+        raise UsageError(no_scale(names))
+
+
+def no_scale(names: Sequence[str]) -> str:
+    """What is said of numbers of which the torque equation tells only the ratios."""
+    return (
+        f"the torque equation tells only the ratios of {', '.join(names)}: halved together they"
+        " halve both of its sides, and zero fits best. State one of them under"
+        f" [model.constants], as in `{names[0]} = 1.0`, or give it a `prior`"
+    )
 
 
 def _whole(problem: FitProblem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

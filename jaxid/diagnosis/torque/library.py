@@ -240,12 +240,15 @@ def _driven(
     plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[TorqueRun], theta: np.ndarray
 ) -> list[Unit]:
     """What a drive makes of its command, seen from the torque that the model needs: the measured
-    one would explain itself.
+    one would explain itself. A drive that gives nothing in any run makes nothing otherwise: a gain
+    of none of it would meet any motion.
     """
     rows = [r.rows(kind.column(plant.rigid(r, theta), r.step)) for r in runs]
     field = next(iter(specs(kind)))
     names = plant.binding.chain.signature.input_names
-    return _one_by_one(kind, places, names, field, rows, plant.binding)
+    driven = [np.any(plant.drive(r, theta), axis=0) for r in runs]
+    asked = [place for place in places if np.any(driven, axis=0)[names.index(place)]]
+    return _one_by_one(kind, asked, names, field, rows, plant.binding)
 
 
 def _one_by_one(

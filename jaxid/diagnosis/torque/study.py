@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from jaxid.base.errors import UsageError
 from jaxid.data.signals import zero_phase
 from jaxid.diagnosis.torque.algebra import (
     BLOCKS,
@@ -30,6 +31,7 @@ from jaxid.dynamics.effect import Effect, JointEffect, neutral
 from jaxid.dynamics.joint_readings import joint_motion, stated_positions
 from jaxid.dynamics.parameter import specs
 from jaxid.fitting.problem_builder import ProblemBuilder, start_values
+from jaxid.fitting.scale_free import EXACT, no_scale
 from jaxid.force.effects import force, Load, with_numbers
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
@@ -205,6 +207,7 @@ class TorqueStudy:
         for step in range(1 if self.plant.exact() else STEPS):
             rows = self.made(theta, [])
             if weights is None:
+                self._refuse_scale_free(rows)
                 weights = self._weights(rows, np.zeros(0, int), np.zeros(0))
                 weights = self._weights(rows, *self._solved(rows, weights))
             own = np.arange(self.plant.size)
@@ -219,6 +222,19 @@ class TorqueStudy:
             best, end = min(best, loss), theta
             theta = self._moved(theta, *self._solved(rows, weights))
         return theta if self.plant.exact() else end
+
+    def _refuse_scale_free(self, rows: TorqueRows) -> None:
+        """Raises `UsageError` where zero numbers meet every torque, as of a machine that coasts,
+        and nothing is known of any number: only their ratios are told.
+        """
+        free = self.plant.free
+        if self.given is not None or not free or any(i in self.binding.priors for i in free):
+            return
+        numbers = rows.theta[free]
+        target = max(float(np.abs(x[:, :, -1]).max()) for x in rows.rows)
+        load = max(float(np.abs(x[:, :, : len(free)] @ numbers).max()) for x in rows.rows)
+        if target <= EXACT * load:
+            raise UsageError(no_scale([self.binding.layout.names[i] for i in free]))
 
     def _moved(self, theta: np.ndarray, at: np.ndarray, numbers: np.ndarray) -> np.ndarray:
         out = theta.copy()
