@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxid.data.dataset import Experiment
-from jaxid.data.signals import spline, zero_phase
+from jaxid.data.signals import spline
 from jaxid.diagnosis.torque.rows import TorqueRun
 from jaxid.numerics.precision import float64
 
@@ -114,13 +114,6 @@ class LoopRun(TorqueRun):
         """Forces [time n k] (or [time n]) as positions of the free run."""
         assert self.loop is not None
         return self.loop.free_run(x[:, :, None] if x.ndim == 2 else x).reshape(x.shape)
-
-    def sampled(self, x: np.ndarray) -> np.ndarray:
-        """A series [time ...] through the low-pass, at the rows."""
-        flat = x.reshape(len(x), -1)
-        return zero_phase(self.experiment.t, flat, self.cutoff_hz)[self.kept].reshape(
-            -1, *x.shape[1:]
-        )
 
 
 class RawRun(TorqueRun):

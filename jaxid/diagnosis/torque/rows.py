@@ -73,11 +73,15 @@ class TorqueRun:
         return maximum_filter1d(slow.astype(float), width, axis=0)
 
     def rows(self, x: np.ndarray) -> np.ndarray:
+        """A series [time ...] as rows."""
+        return self.sampled(x)
+
+    def sampled(self, x: np.ndarray) -> np.ndarray:
         """A series [time ...] through the low-pass, at the rows."""
         flat = x.reshape(len(x), -1)
-        return zero_phase(self.experiment.t, flat, self.cutoff_hz)[self.kept].reshape(
-            -1, *x.shape[1:]
-        )
+        smooth = zero_phase(self.experiment.t, flat, self.cutoff_hz)
+        # A copy: a view would keep the samples between the rows in memory.
+        return smooth[self.kept].copy().reshape(-1, *x.shape[1:])
 
     def at_joint(self, x: np.ndarray, joint: int) -> np.ndarray:
         """Forces [time k] of one joint as rows of all [rows n k]."""
