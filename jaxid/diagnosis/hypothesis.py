@@ -21,6 +21,7 @@ from jaxid.fitting.covariance import covariance, CovarianceEstimate
 from jaxid.fitting.effect_starts import probes, read_off
 from jaxid.fitting.least_squares import Path
 from jaxid.fitting.problem_builder import ProblemBuilder
+from jaxid.fitting.secant import Slopes
 from jaxid.problem.problem import FitProblem
 from jaxid.problem.residual import InverseDynamics
 
@@ -42,6 +43,7 @@ class Candidate:
 class Hypothesis:
     """A set of effects with the model refitted to it, and what it predicts. `left_open`: mean
     square over the noise by which runs that touch move within what the fit leaves open, by split.
+    `slopes`: of the fit runs where a descent on secants ended.
     """
 
     effects: tuple[Candidate, ...]
@@ -49,6 +51,7 @@ class Hypothesis:
     path: Path
     validation: HeldOut
     left_open: Mapping[str, float] = field(default_factory=dict)
+    slopes: Slopes | None = None
 
     @property
     def fit_loss(self) -> float:

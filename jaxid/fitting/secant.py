@@ -30,7 +30,7 @@ NEVER = 10**6
 @dataclass(frozen=True, eq=False)
 class Slopes:
     """Residuals over the noise at z [samples], their slopes [samples size], and how many steps ago
-    each of these was taken.
+    each of these was taken. `own`: of this model; those of another one are a guess.
     """
 
     names: list[str]
@@ -38,6 +38,7 @@ class Slopes:
     r: np.ndarray
     J: np.ndarray
     age: np.ndarray
+    own: bool = True
 
     @classmethod
     def taken(cls, p: FitProblem, z: np.ndarray) -> Slopes:
@@ -61,7 +62,7 @@ class Slopes:
         there = [own[p.names[k]] for k in here]
         J, age = np.zeros((len(r), p.size)), np.full(p.size, NEVER)
         J[:, here], age[here] = self.J[:, there], self.age[there] + 1
-        return Slopes(p.names, z, r, J, age)
+        return Slopes(p.names, z, r, J, age, own=self.own and self.names == p.names)
 
     def renewed(self, columns: Sequence[int], ahead: Sequence[np.ndarray], h: np.ndarray) -> Slopes:
         """With the slopes of some numbers by the residuals of steps `h` [size] ahead; where one
@@ -127,7 +128,8 @@ def descend_on_secants(
     tolerance: float,
 ) -> tuple[Path, Slopes, int]:
     """A descent from the best of some z, its slopes at the end, and how many free runs were
-    simulated. `known`: slopes of some of the numbers on the same records.
+    simulated. `known`: slopes of some of the numbers on the same records; without them those at the
+    first z are taken.
     """
     points = [problem_clip(p, z) for z in starts]
     if known is None:
@@ -162,7 +164,7 @@ def descend_on_secants(
         J = at.told(z, r, path.scale) if np.isfinite(r).all() else at.J
         accept(path, z, linear(p, z, r, J), tolerance, _new)
         if path.z is z:
-            at = Slopes(at.names, z, r, J, at.age + 1)
+            at = replace(at, z=z, r=r, J=J, age=at.age + 1)
         else:
             at = replace(at, J=J)
             here = linear(p, at.z, at.r, J)

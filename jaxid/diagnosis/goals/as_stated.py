@@ -78,7 +78,7 @@ class Alone:
                 own.append(Candidate(kind, place, (wide.layout.index(self.names[i]),)))
             if not own:
                 continue
-            h = self.decider.refit(own, theta, self.stands.path)
+            h = self.decider.refit(own, theta, self.stands)
             out.append(h)
             if h.at_noise:
                 self.decider.most = LIMITS.left**2

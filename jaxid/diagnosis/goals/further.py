@@ -150,7 +150,6 @@ def _borne_out(
         decider,
         bench=bench,
         names=base.layout.names,
-        slopes=None,
         total=decider.done + 2 + len(proposed.sets),
         sure={},
         compared=ComparedSets(),
@@ -160,11 +159,11 @@ def _borne_out(
     stands = nominal
     if standing:
         theta = _carried(search.chosen.theta, before, wide)
-        stands = wider.refit(standing, theta, nominal.path)
+        stands = wider.refit(standing, theta, nominal)
     tried = []
     for s in proposed.sets:
         own = [*standing, *candidates_of(bench, s)]
-        tried.append(wider.refit(own, as_vector(wide, base.layout.names, s), stands.path))
+        tried.append(wider.refit(own, as_vector(wide, base.layout.names, s), stands))
     best = wider.best_of(stands, tried)
     if best is stands:
         return _as_it_stands(so_far, wider, nominal, stands, proposed)

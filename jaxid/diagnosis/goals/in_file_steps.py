@@ -27,8 +27,7 @@ def with_numbers_of_the_file(ask: GoalsQuestion, found: Diagnosis) -> Diagnosis:
     if sticks:
         binding = _hardened(binding)
     decider = Decider(ask.made(binding), binding.layout.names, ask.progress)
-    chosen = decider.refit(_candidates(binding, fit), binding.theta)
-    chosen = decider.settled(decider.polished(chosen))
+    chosen = decider.settled(decider.refit(_candidates(binding, fit), binding.theta))
     if not np.isfinite(chosen.fit_loss):
         return found
     names = binding.layout.names

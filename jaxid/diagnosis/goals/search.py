@@ -38,8 +38,9 @@ from jaxid.problem.residual import OutputError
 from jaxid.problem.trust import counted_as_often
 
 
-#: Iterations and tolerance of a refit from the numbers that were read along the measured motion.
-NEAR = (12, 1e-3)
+#: Iterations and tolerance of a descent from near where it ends: from a model that is like it, or
+#: from where it ended with other priors. One from anywhere else takes twice as many at the most.
+NEAR, FAR = (12, 1e-3), (24, 1e-3)
 #: Rounds of a refit of runs that touch.
 TOUCHING = 16
 #: An effect that is missed this many times as much as it has to be needs no simulation without it.
@@ -56,7 +57,6 @@ class Decider:
     done: int = 0
     total: int = 1
     evaluations: int = field(default=0)
-    slopes: Slopes | None = None  # of the nominal model's free runs, where its fit ended
     lead: list[Hypothesis] = field(
         default_factory=list
     )  # what explained most so far, for the line of progress
@@ -67,10 +67,10 @@ class Decider:
     most: float = np.inf  # of the noise that a stretch of runs that touch may leave
 
     def refit(
-        self, effects: Sequence[Candidate], theta: np.ndarray, like: Path | None = None
+        self, effects: Sequence[Candidate], theta: np.ndarray, like: Hypothesis | None = None
     ) -> Hypothesis:
         """A model with these effects fitted to the free runs from numbers theta; its runs begin as
-        those of `like`.
+        those of `like`, whose slopes lead the way.
         """
         told = (" and ".join(map(str, effects)) or "nominal model", in_lead(self.lead))
         if self.progress:
@@ -80,20 +80,19 @@ class Decider:
             *(i for c in effects for i in c.index),
         ]
         p = self.bench.problem(OutputError(), "fit", free, theta)
+        known = None
         if touches(self.bench.binding):
-            path, spent = self._touching(p, like)
+            path, spent = self._touching(p, like.path if like is not None else None)
         elif like is None:
-            path, self.slopes, spent = descend_on_secants(p, [p.z(theta)], None, *NEAR)
+            path, known, spent = descend_on_secants(p, [p.z(theta)], None, *FAR)
         else:  # its own numbers, or those of the model that it is like
-            own, starts = like.problem.theta(like.z), like.problem.starts(like.z)
-            own[[i for c in effects for i in c.index]] = theta[
-                [i for c in effects for i in c.index]
-            ]
-            path, _, spent = descend_on_secants(
-                p, [p.z(theta, starts), p.z(own, starts)], self.slopes, *NEAR
-            )
+            starts = like.path.problem.starts(like.path.z)
+            other, at = like.theta.copy(), [i for c in effects for i in c.index]
+            other[at] = theta[at]
+            begin = [p.z(theta, starts), p.z(other, starts)]
+            path, known, spent = descend_on_secants(p, begin, like.slopes, *NEAR)
         self.done, self.evaluations = self.done + 1, self.evaluations + spent
-        return self._judged(effects, path)
+        return self._judged(effects, path, known)
 
     def _touching(self, p: FitProblem, like: Path | None) -> tuple[Path, int]:
         """A descent on the fit runs that touch, and how often these were simulated. Where those of
@@ -125,17 +124,22 @@ class Decider:
         """The same from where its descent ended, with slopes of its own: those of another model
         lead only so far.
         """
-        path, spent = self._from(h, "fit", h.path.problem, h.path.z)
+        p, z = h.path.problem, h.path.z
+        if touches(self.bench.binding):
+            path, spent = self._touching_from(h, "fit", p, z)
+            known = None
+        else:
+            own = h.slopes if h.slopes is not None and h.slopes.own else None
+            path, known, spent = descend_on_secants(p, [z], own, *NEAR)
         self.evaluations += spent
-        return self._judged(h.effects, path)
+        return self._judged(h.effects, path, known)
 
-    def _from(self, h: Hypothesis, split: str, p: FitProblem, z: np.ndarray) -> tuple[Path, int]:
-        """A descent of a model from z with slopes of its own, and how often the runs were
-        simulated. Runs that touch are not followed nearer than the model leaves them open.
+    def _touching_from(
+        self, h: Hypothesis, split: str, p: FitProblem, z: np.ndarray
+    ) -> tuple[Path, int]:
+        """A descent of runs that touch from z, and how often they were simulated: they are not
+        followed nearer than the model leaves them open.
         """
-        if not touches(self.bench.binding):
-            path, _, spent = descend_on_secants(p, [z], None, *NEAR)
-            return path, spent
         near, spent = descend_widely(p, z, TOUCHING)
         if near.loss <= level(near.count) + max(h.left_open.values(), default=0.0):
             return near, spent
@@ -177,7 +181,6 @@ class Decider:
                 return chosen, nominal
             priors = {i: known for i, known in binding.priors.items() if i not in refuted}
             self.bench.binding = replace(binding, priors=priors)
-            self.slopes = None
             chosen = self._from_stated(chosen, refuted)
             nominal = self._from_stated(nominal, refuted)
 
@@ -189,7 +192,7 @@ class Decider:
         kept = [*but, *chain.from_iterable(c.index for c in h.effects)]
         theta = self.bench.binding.theta.copy()
         theta[kept] = again.theta[kept]
-        anew = self.polished(self.refit(h.effects, theta))
+        anew = self.refit(h.effects, theta)
         return anew if self.gained(again, anew) > 0 else again
 
     def _departure(self, h: Hypothesis, i: int) -> float:
@@ -205,12 +208,14 @@ class Decider:
         p = self.bench.problem(OutputError(), "fit", h.path.problem.free, h.theta)
         return self.polished(replace(h, path=replace(h.path, problem=p)))
 
-    def _judged(self, effects: Sequence[Candidate], path: Path) -> Hypothesis:
+    def _judged(
+        self, effects: Sequence[Candidate], path: Path, slopes: Slopes | None = None
+    ) -> Hypothesis:
         theta = path.problem.theta(path.z)
         if not np.isfinite(path.cost):
             return Hypothesis(tuple(effects), theta, path, HeldOut([], [], np.inf, 0))
         (held,) = held_out(self.bench, "validation", [theta], OutputError(), [knowledge(path)])
-        found = Hypothesis(tuple(effects), theta, path, held)
+        found = Hypothesis(tuple(effects), theta, path, held, slopes=slopes)
         if touches(self.bench.binding) and not found.at_noise and np.isfinite(joint_loss(found)):
             found = replace(found, left_open=left_open(self.bench, found))
         if effects:
@@ -226,7 +231,11 @@ class Decider:
             return h
         p = bench.problem(OutputError(), "fit+validation", own.free, h.theta)
         starts = [own.starts(h.path.z), estimate_starts(bench, "validation", [h.theta])[0]]
-        path, spent = self._from(h, "fit+validation", p, p.z(h.theta, np.concatenate(starts)))
+        z = p.z(h.theta, np.concatenate(starts))
+        if touches(bench.binding):
+            path, spent = self._touching_from(h, "fit+validation", p, z)
+        else:
+            path, _, spent = descend_on_secants(p, [z], None, *NEAR)
         self.evaluations += spent
         return replace(h, theta=p.theta(path.z), path=path)
 
@@ -241,7 +250,7 @@ class Decider:
         for s in sets:
             theta = as_vector(self.bench.binding, self.names, s)
             if own := candidates_of(self.bench, s):
-                tried.append(self.refit(own, theta, nominal.path))
+                tried.append(self.refit(own, theta, nominal))
         best = self.best_of(nominal, tried)
         if best.effects:
             nominal, chosen = self.confirmed(nominal, best, tried)
@@ -335,7 +344,7 @@ class Decider:
         theta[list(self.asked)] = 0.0
         self.total += 1
         nominal = self.refit((), theta)
-        whole = Hypothesis((*lacked, *chosen.effects), chosen.theta, chosen.path, chosen.validation)
+        whole = replace(chosen, effects=(*lacked, *chosen.effects))
         if not np.isfinite(nominal.fit_loss) or not self.gained(nominal, whole) > 0:
             self.asked = frozenset()
             return search
@@ -406,7 +415,7 @@ class Decider:
                 theta = chosen.theta.copy()
                 theta[list(c.index)] = self.bench.binding.theta[list(c.index)]
                 self.total += 1
-                less = self.refit(left, theta, chosen.path)
+                less = self.refit(left, theta, chosen)
                 tried.append(less)
             if not left or less is not nominal:
                 gained = self.gained(less, chosen, self._joints(c))

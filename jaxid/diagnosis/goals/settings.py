@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -107,20 +106,11 @@ def otherwise(
         return None
     others = [cache(partial(setting.decider, ask, decider)) for setting in settings]
     promises = [s.promising(decider, o, search) for s, o in zip(settings, others, strict=True)]
-    order = sorted(range(len(settings)), key=lambda k: -promises[k].gained)
-    found = list(chain.from_iterable(promise.models for promise in promises))
-    if not found:
-        return None
-    ended = {id(h): _ended(decider, h) for h in (*found, search.chosen)}
-    chosen = ended[id(search.chosen)]
-    if not chosen.effects and chosen.at_noise:
-        return None
-    for k in order:
+    for k in sorted(range(len(settings)), key=lambda k: -promises[k].gained):
         if not promises[k].models:
             continue
         other = others[k]()
-        models = [ended[id(h)] for h in promises[k].models]
-        claimed = any(_claimed(decider, other, h, chosen) for h in models)
+        claimed = any(_claimed(decider, other, h, search.chosen) for h in promises[k].models)
         decider.evaluations += other.evaluations
         if claimed:
             return settings[k]
@@ -139,16 +129,11 @@ class Promise(NamedTuple):
 NOTHING = Promise(0.0, ())
 
 
-def _ended(decider: Decider, h: Hypothesis) -> Hypothesis:
-    """A model whose descent has ended: what it leaves is not for want of iterations."""
-    return h if h.at_noise else decider.polished(h)
-
-
 def _claimed(decider: Decider, other: Decider, h: Hypothesis, chosen: Hypothesis) -> bool:
     """Whether a model is missed without a setting, and more probable with it than what was
     chosen.
     """
-    with_it = other.polished(other.refit(h.effects, h.theta))
+    with_it = other.refit(h.effects, h.theta)
     gained = decider.gained(h, with_it) + RULE.log_prior
     return gained >= RULE.log_odds and decider.gained(chosen, with_it) + RULE.log_prior > 0
 
@@ -228,8 +213,9 @@ def _promised(
     """
     chosen, names = search.chosen, decider.bench.binding.layout.names
     fewer = [h for h in search.tried if set(h.effects) < set(chosen.effects)]
-    asked = [h for h in (search.nominal, *fewer, chosen) if np.isfinite(h.fit_loss)]
-    found = [h for h in asked if h.path.problem.runs.layout.names == names]
+    every = {id(h): h for h in (search.nominal, *fewer, chosen)}
+    measured = [h for h in every.values() if np.isfinite(h.fit_loss)]
+    found = [h for h in measured if h.path.problem.runs.layout.names == names]
     foreseen = [_evidence_apart(decider, h, apart(h)) for h in found]
     if not foreseen:
         return NOTHING
