@@ -22,6 +22,7 @@ from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, knowledge, me
 from jaxid.diagnosis.how_far import interval_of_further_run
 from jaxid.diagnosis.hypothesis import candidates, Hypothesis, SearchResult
 from jaxid.diagnosis.prior_pull import put_back
+from jaxid.diagnosis.probability import RULE
 from jaxid.diagnosis.proposals import left_out
 from jaxid.diagnosis.reasons import Lacks
 from jaxid.diagnosis.refits import Refits, THOROUGH
@@ -687,22 +688,24 @@ def test_an_interval_holds_where_the_model_before_is_wrong_for_long(left):
     assert 0.9 < np.mean(hits) < 0.99
 
 
+def _possible(diagnosis: jaxid.Diagnosis) -> set[str]:
+    """Effects that are claimed or said to be possible."""
+    claimed = {e.effect for e in diagnosis.which.effects}
+    return claimed | {effect for effect, *_ in diagnosis.which.belief.possible(RULE.possible)}
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not (DATA / "emps").is_dir(), reason="the EMPS recording is not in $JAXID_DATA")
-def test_emps_lacks_a_friction_effect():
+def test_emps_lacks_a_law_of_friction():
+    """One free run bears no claim of which law it is: by torque it would be another one."""
     data = jaxid.load_dataset(DATA / "emps")
     d = jaxid.diagnose(None, data)
-    assert d.which.verdict in ("named", "partly")
-    assert all(e.effect.endswith("friction") for e in d.which.effects)
-    errors = []
-    for fit in (d.nominal, d.final):
-        runs = jaxid.simulate(None, data, fit).rmse
-        errors.append(runs[1]["position"])
+    assert d.which.verdict != "none"
+    possible = _possible(d)
+    assert possible and all(effect.endswith("friction") for effect in possible)
+    fit = jaxid.fit(None, data, effects=["load_dependent_friction"])
+    errors = [jaxid.simulate(None, data, f).rmse[1]["position"] for f in (d.nominal, fit)]
     assert errors[1] <= 5.5e-3 and errors[1] <= 0.6 * errors[0]
-    if errors[1] > 5.0e-3:
-        pytest.xfail(
-            f"{1e3 * errors[1]:.2f} mm, 5.0 mm asked: the least squares of the fit run lie there"
-        )
 
 
 @pytest.mark.slow
@@ -710,27 +713,28 @@ def test_emps_lacks_a_friction_effect():
     not (DATA / "multiarm_single_pendulum").is_dir(),
     reason="the free pendulum is not in $JAXID_DATA",
 )
-def test_free_pendulum_has_dry_friction_and_drag_for_its_viscous_term():
-    d = jaxid.diagnose(None, jaxid.load_dataset(DATA / "multiarm_single_pendulum"))
-    named = {e.effect for e in d.which.effects}
-    assert {"quadratic_drag", "coulomb_friction"} <= named
-    assert d.final.parameters["viscous"].value < 0.02 * d.nominal.parameters["viscous"].value
-    assert d.final.scores["fit"]["q"].rmse <= 3.0e-3
+def test_a_free_pendulum_lacks_what_takes_energy():
+    """Dry friction and drag follow it, and so does friction that falls as it warms up."""
+    data = jaxid.load_dataset(DATA / "multiarm_single_pendulum")
+    d = jaxid.diagnose(None, data)
+    assert d.which.verdict != "none"
+    takes = {"quadratic_drag", "coulomb_friction", "temperature_dependent_friction"}
+    assert _possible(d) and _possible(d) <= takes
+    fit = jaxid.fit(None, data, effects=["coulomb_friction", "quadratic_drag"])
+    assert fit.parameters["viscous"].value < 0.02 * d.nominal.parameters["viscous"].value
+    assert fit.scores["fit"]["q"].rmse <= 3.0e-3
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(
     not (DATA / "xl330_pendulum").is_dir(), reason="the XL330 recording is not in $JAXID_DATA"
 )
-def test_a_recorded_servo_lacks_load_dependent_friction():
-    """Neither model comes near the noise, and the nominal one must not be bent to the runs that
-    choose.
-    """
+def test_no_wrong_law_is_claimed_of_a_recorded_servo():
+    """Load-dependent friction closes half of its gap, which bears no claim."""
     from benchmarks import xl330
 
-    row = xl330.diagnosed()
-    assert row["friction"] == "partly: load_dependent_friction at q"
-    assert row["MAE of the logs with gain 200, held out, rad"] < 0.032
+    d = jaxid.diagnose(None, xl330.data(200))
+    assert d.which.verdict != "none" and _possible(d) <= {"load_dependent_friction"}
 
 
 @pytest.mark.slow
