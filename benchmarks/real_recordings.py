@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import jaxid
+from jaxid.diagnosis.probability import RULE
 
 
 DATA = Path(os.environ.get("JAXID_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
@@ -25,11 +26,15 @@ def rows_of(name: str, channel: str, unit: float) -> list[dict[str, Any]]:
         raise FileNotFoundError(f"{name} is not in {DATA.name}; set JAXID_DATA")
     data = jaxid.load_dataset(folder)
     d = jaxid.diagnose(None, data)
+    models = [("nominal, re-tuned", d.nominal)]
+    if d.which.effects:
+        models.append((" + ".join(map(str, d.which.effects)), d.final))
+    elif d.which.belief and (possible := d.which.belief.possible(RULE.possible)):
+        effect, _, probability = possible[0]
+        fit = jaxid.fit(None, data, effects=[effect])
+        models.append((f"with {effect}, the most probable ({probability:.2f})", fit))
     out = []
-    for label, fit in (
-        ("nominal, re-tuned", d.nominal),
-        (" + ".join(map(str, d.which.effects)) or "nothing named", d.final),
-    ):
+    for label, fit in models:
         rmse = [unit * run[channel] for run in jaxid.simulate(None, data, fit).rmse]
         out.append(
             {

@@ -109,7 +109,7 @@ def diagnosed() -> dict[str, Any]:
         )
 
     return {
-        "friction": f"{d.which.verdict}: {', '.join(str(e) for e in d.which.effects)}",
+        "friction": f"{d.which.verdict}: {', '.join(map(str, d.which.effects)) or 'no effect'}",
         "MAE of the fitted logs, rad": mean(False),
         "MAE of the logs with gain 200, held out, rad": mean(True),
         "gap on the logs with gain 200": f"{d.how_far.gap_retuned:.3g} -> {d.how_far.gap_after:.3g}",

@@ -690,8 +690,9 @@ def test_an_interval_holds_where_the_model_before_is_wrong_for_long(left):
 
 def _possible(diagnosis: jaxid.Diagnosis) -> set[str]:
     """Effects that are claimed or said to be possible."""
-    claimed = {e.effect for e in diagnosis.which.effects}
-    return claimed | {effect for effect, *_ in diagnosis.which.belief.possible(RULE.possible)}
+    claimed, belief = {e.effect for e in diagnosis.which.effects}, diagnosis.which.belief
+    assert belief is not None
+    return claimed | {effect for effect, *_ in belief.possible(RULE.possible)}
 
 
 @pytest.mark.slow

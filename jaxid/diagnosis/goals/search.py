@@ -124,28 +124,31 @@ class Decider:
         """The same from where its descent ended, with slopes of its own: those of another model
         lead only so far.
         """
-        p, z = h.path.problem, h.path.z
-        if touches(self.bench.binding):
-            path, spent = self._touching_from(h, "fit", p, z)
-            known = None
-        else:
-            own = h.slopes if h.slopes is not None and h.slopes.own else None
-            path, known, spent = descend_on_secants(p, [z], own, *NEAR)
+        own = h.slopes if h.slopes is not None and h.slopes.own else None
+        path, known, spent = self._from(h, "fit", h.path.problem, h.path.z, own)
         self.evaluations += spent
         return self._judged(h.effects, path, known)
 
-    def _touching_from(
-        self, h: Hypothesis, split: str, p: FitProblem, z: np.ndarray
-    ) -> tuple[Path, int]:
-        """A descent of runs that touch from z, and how often they were simulated: they are not
+    def _from(
+        self,
+        h: Hypothesis,
+        split: str,
+        p: FitProblem,
+        z: np.ndarray,
+        known: Slopes | None = None,
+    ) -> tuple[Path, Slopes | None, int]:
+        """A descent of a model from z, with slopes that are taken there unless they are `known`,
+        its slopes at the end, and how often the runs were simulated. Runs that touch are not
         followed nearer than the model leaves them open.
         """
+        if not touches(self.bench.binding):
+            return descend_on_secants(p, [z], known, *NEAR)
         near, spent = descend_widely(p, z, TOUCHING)
         if near.loss <= level(near.count) + max(h.left_open.values(), default=0.0):
-            return near, spent
+            return near, None, spent
         theta, every = p.theta(near.z), range(len(p.records))
         again, more = descend_over_stretches(self.bench, split, p.free, theta, every)
-        return min(near, again, key=lambda path: path.cost), spent + more
+        return min(near, again, key=lambda path: path.cost), None, spent + more
 
     def reweighed(self, h: Hypothesis) -> Hypothesis:
         """The same with priors that count as often as what the model itself leaves: columns, which
@@ -232,10 +235,7 @@ class Decider:
         p = bench.problem(OutputError(), "fit+validation", own.free, h.theta)
         starts = [own.starts(h.path.z), estimate_starts(bench, "validation", [h.theta])[0]]
         z = p.z(h.theta, np.concatenate(starts))
-        if touches(bench.binding):
-            path, spent = self._touching_from(h, "fit+validation", p, z)
-        else:
-            path, _, spent = descend_on_secants(p, [z], None, *NEAR)
+        path, _, spent = self._from(h, "fit+validation", p, z)
         self.evaluations += spent
         return replace(h, theta=p.theta(path.z), path=path)
 
