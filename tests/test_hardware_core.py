@@ -416,7 +416,7 @@ def test_a_silence_is_of_the_recorder_or_of_this_computer(held):
         time.sleep(0.3)  # this process is not run: the other one is not to blame
     with pytest.raises(
         StopRequest,
-        match="this computer was busy for 0.3 s"
+        match="this computer was busy for 0.[3-9] s"
         if held
         else "recording process was silent for 0.[01]",
     ):
