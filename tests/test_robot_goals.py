@@ -180,6 +180,7 @@ def test_secants_end_where_slopes_of_all_numbers_do():
     assert [n for n, age in zip(more.names, again.age, strict=True) if age > 1000] == [
         "kp@lift"
     ]  # alone is simulated
+    assert not again.own and slopes.of(p, path.z, slopes.r).own  # where priors alone are others
 
 
 @pytest.mark.parametrize("everywhere", [False, True])

@@ -82,7 +82,7 @@ class Decider:
         p = self.bench.problem(OutputError(), "fit", free, theta)
         known = None
         if touches(self.bench.binding):
-            path, spent = self._touching(p, like.path if like is not None else None)
+            path, spent = self._touching(p, like)
         elif like is None:
             path, known, spent = descend_on_secants(p, [p.z(theta)], None, *FAR)
         else:  # its own numbers, or those of the model that it is like
@@ -94,7 +94,7 @@ class Decider:
         self.done, self.evaluations = self.done + 1, self.evaluations + spent
         return self._judged(effects, path, known)
 
-    def _touching(self, p: FitProblem, like: Path | None) -> tuple[Path, int]:
+    def _touching(self, p: FitProblem, like: Hypothesis | None) -> tuple[Path, int]:
         """A descent on the fit runs that touch, and how often these were simulated. Where those of
         `like` are at the noise with these numbers, it goes on from there.
         """
@@ -102,7 +102,7 @@ class Decider:
             starts = estimate_starts(self.bench, "fit", [p.base])[0]
             return descend_widely(p, p.z(p.base, starts), len(WIDTHS))
         if like is not None:
-            z = p.z(p.base, like.problem.starts(like.z))
+            z = p.z(p.base, like.path.problem.starts(like.path.z))
             (left,) = residuals(p, [z])
             if np.mean(left**2) <= level(left.size):
                 return descend_widely(p, z, TOUCHING)
